@@ -21,14 +21,19 @@ from torchweather.camera.depth import (
     find_horizon,
     project_points,
 )
+from torchweather.camera.depth.sparse import depth_from_disparity
 from torchweather.camera.exposure import ExposureControl
 from torchweather.camera.fog import ExtinctionAndAirlight
+from torchweather.camera.hdr import HdrWeather
 from torchweather.compose import Collate, collate_list
+from torchweather.compose.batches import join_indexed
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.random import sample_seeds
 from torchweather.datasets import boxes_to_nuscenes, pose_from_carla
 from torchweather.datasets.boxes import turned_back
+from torchweather.evaluation.sweep.run import sweep
 from torchweather.export import ImageToDetector
-from torchweather.image import colour_matrix, white_balance
+from torchweather.image import colour_matrix, normalise, white_balance
 from torchweather.io import PointCloud, parsivel_area_mm2
 from torchweather.lidar import estimate_pattern, scan_count_problem
 from torchweather.lidar.effects.empirical import Empirical
@@ -39,6 +44,7 @@ from torchweather.physics import (
     InterpolationTable,
     axial_q_back,
     equal_visibility_rain_rate,
+    flake_reflectivity,
     marshall_palmer,
     maxwell_garnett,
     precipitation_rate_mm_per_h,
@@ -54,6 +60,7 @@ from torchweather.radar import (
     Scatterers,
     beat_signal,
     car_scatterers,
+    corner_reflector_rcs_m2,
     gathered,
     subdivide,
     triangle_field_m,
@@ -65,6 +72,7 @@ from torchweather.radar.power_map.scale import PowerScale
 from torchweather.scenes import object_boxes
 from torchweather.scenes import test_track as track
 from torchweather.sensors import Camera, Lidar, Radar
+from torchweather.transforms import BayerWeather
 
 CAMERA = Camera.from_intrinsics(20.0, 20.0, 7.5, 5.5, 16, 12)
 RGB = torch.rand(2, 3, 4, 4)
@@ -182,7 +190,10 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: CompletedDepth(torch.ones(4, 3) * 1j, torch.eye(4)),
         "points_xyz must be a tensor of real numbers",
     ),
-    "pose of nothing": (lambda: DepthFromPoints(torch.ones(4, 3), [None]), "T_camera_from_lidar must be a number or"),
+    "pose of nothing": (
+        lambda: DepthFromPoints(torch.ones(4, 3), [None]),
+        "T_camera_from_lidar must be a tensor, an array or",
+    ),
     "points beyond the earth": (
         lambda: project_points(torch.full((1, 3), 1e30), torch.eye(4), CAMERA),
         "points_xyz must lie in -1e",
@@ -250,6 +261,45 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: wet_cover_series_db(torch.ones(2), torch.arange(2), 0.0, 1.0, 0.5, -0.0),
         "drying_min must lie in 0.001..1e",
     ),
+    "takes of complex numbers": (
+        lambda: mean_extra_m(PatchField(torch.zeros(1, AZIMUTHS + 1, NODES), 1.0), [Rain(1.0)], [torch.ones(1) * 1j]),
+        r"takes must be a tensor \(B,\)",
+    ),
+    "focal length beyond the earth": (
+        lambda: depth_from_disparity(torch.ones(3), 2**63, 1.0),
+        "fx_px must lie in 0..1e",
+    ),
+    "points of one number": (lambda: DepthFromPoints(2**63, torch.eye(4)), "points_xyz must be a tensor, an array or"),
+    "clouds of one number": (
+        lambda: join_indexed([torch.tensor(1.0)], torch.zeros(0, 5)),
+        r"clouds must be \(N, C\); got \(\)",
+    ),
+    "labels of one number": (
+        lambda: average_precision([SEEN], [{**TRUE, "labels": np.array(2.0)}]),
+        "labels must be a sequence",
+    ),
+    "grains of other shapes": (
+        lambda: flake_reflectivity(torch.full((3,), 905.0), grain_radius_um=torch.full((2,), 100.0)),
+        r"shapes must broadcast; got wavelength_nm \(3,\), grain_radius_um \(2,\)",
+    ),
+    "option of no camera": (
+        lambda: BayerWeather(Rain(1.0), CAMERA, exposure_control={"statistc": "mean"}),
+        "'statistc' is no option of ExposureControl. Did you mean 'statistic'",
+    ),
+    "option of no transform": (
+        lambda: HdrWeather(Rain(1.0), CAMERA, exposures_s=(0.01, 0.001), dept=3.0),
+        "'dept' is no option of BayerWeather. Did you mean 'depth'",
+    ),
+    "seeds that are no numbers": (
+        lambda: sweep([], [], seeds=torch.ones(3)),
+        "seeds must be a sequence of int",
+    ),
+    "levels that are none": (lambda: normalise(torch.ones(3), 0.0, 1e-320), "white_level must be above black_level"),
+    "corners seen from elsewhere": (
+        lambda: corner_reflector_rcs_m2(torch.ones(3), 0.004, to_radar=torch.ones(2, 3)),
+        "shapes must broadcast",
+    ),
+    "samples beyond memory": (lambda: sample_seeds((10**30,)), "batch_shape must be of 2147483648 samples at most"),
     "headings turned upright": (
         lambda: turned_back(torch.zeros(1), torch.eye(3)[:, :2], torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])),
         "keeps headings level",

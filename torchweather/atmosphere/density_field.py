@@ -145,7 +145,10 @@ def mean_extra_m(patches: PatchField, weathers: Sequence[Weather], takes: Sequen
     if (
         len(takes) != len(weathers)
         or not takes
-        or (not compiling and any(take.ndim != 1 or take.shape != takes[0].shape for take in takes))
+        or (
+            not compiling
+            and any(take.ndim != 1 or not take.is_floating_point() or take.shape != takes[0].shape for take in takes)
+        )
         or (not compiling and len(takes[0]) not in (1, len(patches.normal)))
     ):
         raise InputValueError(

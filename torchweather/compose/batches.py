@@ -104,6 +104,10 @@ def join_indexed(clouds: Sequence[Tensor], like: Tensor) -> Tensor:
     """
     check_arguments("join_indexed(clouds: Sequence[Tensor], like: Tensor)", clouds, like)
     index = _sample_index(like, "join_indexed")
+    if not all(cloud.ndim == 2 for cloud in clouds):
+        raise InputValueError(
+            f"join_indexed: clouds must be (N, C); got {', '.join(str(tuple(cloud.shape)) for cloud in clouds)}."
+        )
     lengths = torch.bincount(index, minlength=len(clouds)).tolist()
     if [cloud.shape[0] for cloud in clouds] != lengths:
         raise InputValueError(

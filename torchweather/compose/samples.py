@@ -25,7 +25,15 @@ def as_tensor(value: Any, key: str) -> Any:
     if isinstance(value, (list, tuple)) and all(isinstance(one, (Tensor, np.ndarray)) for one in value):
         return [as_tensor(one, key) for one in value]
     if isinstance(value, (bool, int, float, np.generic)):
-        return torch.as_tensor(value)
+        try:
+            return torch.as_tensor(value)
+        except (
+            TypeError,
+            ValueError,
+            RuntimeError,
+            OverflowError,
+        ) as error:  # more digits than an integer of torch has
+            raise InputTypeError(f"Compose: {key!r} holds a number that torch cannot take: {value!r:.100}.") from error
     raise InputTypeError(
         f"Compose: {key!r} must hold a tensor, a numpy array, or a list of them; got {type(value).__name__}."
     )

@@ -28,7 +28,8 @@ Sizes = dict[str, int]
 def check_arguments(head: str, *values: object) -> None:
     """Raise unless arguments are of the kinds and shapes that the head of a function declares.
 
-    Kinds are ``float``, ``Quantity`` (a number or a tensor), ``int``, ``bool``, ``str``, ``path``, ``Mapping``,
+    Kinds are ``float``, ``Quantity`` (a number or a tensor), ``Nested`` (the same without a single number),
+    ``int``, ``bool``, ``str``, ``path``, ``Mapping``,
     ``Sequence``, ``Iterable``, ``Callable``, ``None``, ``array`` (numpy, of real numbers), tensors (``Tensor`` of any
     dtype, ``real``, ``floating``, ``whole``, ``mask``) and names of classes. ``|`` stands between kinds that are all
     allowed. A tensor's shape follows in brackets: a number, ``3+`` for three or more, a letter for a size that is the
@@ -220,6 +221,10 @@ _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "None": ("None", lambda value: value is None),
     "float": ("a number", _is_number),
     "Quantity": ("a number or a tensor of real numbers", _is_quantity),
+    "Nested": (
+        "a tensor, an array or nested sequences of real numbers",
+        lambda value: not _is_number(value) and _is_quantity(value),
+    ),
     "int": ("a whole number", _is_whole),
     "bool": ("True or False", lambda value: isinstance(value, (bool, np.bool_))),
     "str": ("text", lambda value: isinstance(value, str)),

@@ -82,7 +82,7 @@ def update_boxes(
     """
     check_arguments(
         "update_boxes(boxes: Boxes, result: LidarResult | RadarResult | CameraResult | RgbResult | None, "
-        "points: Tensor | None, rectangles: Tensor | None)",
+        "points: real(N, 3+) | None, rectangles: Tensor | None)",
         boxes,
         result,
         points,

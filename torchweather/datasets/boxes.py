@@ -139,7 +139,7 @@ def turned_back(yaw_rad: Tensor, plane: Tensor, rotation: Tensor) -> Tensor:
 
 def checked_transform(transform: Tensor, name: str, owner: str) -> Tensor:
     """A rigid transform ``(4, 4)`` as float64."""
-    check_arguments(f"{owner}({name}: Quantity)", transform)
+    check_arguments(f"{owner}({name}: Nested)", transform)
     matrix = torch.as_tensor(transform, dtype=torch.float64).cpu()
     rotation = matrix[:3, :3] if matrix.shape == (4, 4) else torch.zeros(3, 3, dtype=torch.float64)
     # Calibration files print seven digits; 1e-3 tells a rotation from anything else.

@@ -50,7 +50,7 @@ def read_kitti_boxes(
         A. Geiger et al., Are we ready for autonomous driving?, CVPR 2012; the development kit's readme.
     """
     check_arguments(
-        "read_kitti_boxes(path: path, T_rectified_from_lidar: Quantity, frame: int | None)",
+        "read_kitti_boxes(path: path, T_rectified_from_lidar: Nested, frame: int | None)",
         path,
         T_rectified_from_lidar,
         frame,
@@ -132,7 +132,7 @@ def write_kitti_boxes(path: str | os.PathLike[str], boxes: Boxes, T_rectified_fr
     What a record lacks is written as KITTI writes what is unknown: truncation and occlusion -1, alpha -10, image box 0.
     """
     check_arguments(
-        "write_kitti_boxes(path: path, boxes: Boxes, T_rectified_from_lidar: Quantity)",
+        "write_kitti_boxes(path: path, boxes: Boxes, T_rectified_from_lidar: Nested)",
         path,
         boxes,
         T_rectified_from_lidar,

@@ -48,7 +48,7 @@ def boxes_from_nuscenes(annotations: Iterable[Mapping[str, Any]], T_lidar_from_b
         [[4.0, 2.0, 1.5]]
     """
     check_arguments(
-        "boxes_from_nuscenes(annotations: Iterable, T_lidar_from_boxes: Quantity | None)",
+        "boxes_from_nuscenes(annotations: Iterable, T_lidar_from_boxes: Nested | None)",
         annotations,
         T_lidar_from_boxes,
     )
@@ -98,7 +98,7 @@ def boxes_to_nuscenes(
         visibility: of the boxes in weather; sets ``num_lidar_pts`` to the points left.
     """
     check_arguments(
-        "boxes_to_nuscenes(boxes: Boxes, T_lidar_from_boxes: Quantity | None, visibility: BoxVisibility | None)",
+        "boxes_to_nuscenes(boxes: Boxes, T_lidar_from_boxes: Nested | None, visibility: BoxVisibility | None)",
         boxes,
         T_lidar_from_boxes,
         visibility,
@@ -133,7 +133,7 @@ def read_nuscenes_boxes(
         TorchweatherError: the file is missing, no json, has no such sample, or a broken annotation.
     """
     check_arguments(
-        "read_nuscenes_boxes(path: path, T_lidar_from_boxes: Quantity | None, sample_token: str | None)",
+        "read_nuscenes_boxes(path: path, T_lidar_from_boxes: Nested | None, sample_token: str | None)",
         path,
         T_lidar_from_boxes,
         sample_token,
@@ -170,7 +170,7 @@ def write_nuscenes_boxes(
 ) -> None:
     """Write the annotations of `boxes_to_nuscenes` as a json list."""
     check_arguments(
-        "write_nuscenes_boxes(path: path, boxes: Boxes, T_lidar_from_boxes: Quantity | None, "
+        "write_nuscenes_boxes(path: path, boxes: Boxes, T_lidar_from_boxes: Nested | None, "
         "visibility: BoxVisibility | None)",
         path,
         boxes,

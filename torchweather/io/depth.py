@@ -91,6 +91,9 @@ def read_depth(
     )
     source = Path(path)
     _check_encoding(source, encoding)
+    missing_m = float(missing_m)
+    if 3e38 < missing_m < math.inf:
+        raise InputValueError(f"read_depth: missing_m must be a depth of less than 3e38 m; got {missing_m!r}.")
     if missing_m < 0:
         raise InputValueError(
             f"read_depth: missing_m must be 0 m or more, inf for sky, NaN for unknown; got {missing_m!r}."
@@ -106,7 +109,7 @@ def read_depth(
     else:
         raw = _stored(source)
         depth = carla_depth_m(_carla_colours(raw, source)) if encoding == "carla" else _metres(raw, encoding, source)
-    return depth if math.isnan(missing_m) else torch.where(depth.isnan(), float(missing_m), depth)
+    return depth if math.isnan(missing_m) else torch.where(depth.isnan(), missing_m, depth)
 
 
 def read_disparity(path: str | os.PathLike[str], encoding: str = "disparity") -> Tensor:

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError, TorchweatherError, TorchweatherWarning, check_one_of, nearest_name
 from torchweather.io.csv_points import read_csv_points
 from torchweather.io.npz_points import read_npz_points
@@ -252,7 +253,7 @@ def write_radar(
     target = Path(path)
     kind = _format(target, format, "write_radar")
     radar_points = RadarPoints(detections) if isinstance(detections, Tensor) else detections
-    points: npt.NDArray[np.floating] = radar_points.points.detach().cpu().numpy()
+    points: npt.NDArray[np.floating] = as_numpy(radar_points.points)
     gone = (points[:, :3] == 0).all(axis=1)
     if radar_points.lost is not None:
         before = radar_points.lost.cpu().numpy()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError, owner_name
 from torchweather.lidar.cloud_frame import points_in_sensor_frame
 from torchweather.lidar.scan import recover_ring
@@ -224,7 +225,7 @@ def _with_ends(beams: Beams, sensor: Lidar) -> Beams:
 
 
 def _on_mask(cloud: Tensor, sensor: Lidar, mask: OwnVehicleMask) -> Tensor:
-    held = mask.holds(cloud[:, :3].cpu().numpy(), sweep_rings(cloud, sensor).ring.cpu().numpy())
+    held = mask.holds(as_numpy(cloud[:, :3]), sweep_rings(cloud, sensor).ring.cpu().numpy())
     return torch.from_numpy(held).to(cloud.device)
 
 

@@ -80,7 +80,7 @@ class RadialSpeed(SensorStage):
             return state
         ego = self.ego_speed_m_per_s * vehicle_directions(state, self.sensor)[..., 0]
         spread = math.hypot(self.sensor.speed_noise_m_per_s, self.turbulence_m_per_s)
-        clouds = []
+        clouds: list[Tensor | None] = []
         for echo, cloud in enumerate((state.returns.points, state.returns.second)):
             if cloud is None:
                 clouds.append(None)

@@ -329,7 +329,7 @@ class Lidar(Sensor):
             >>> Lidar(905.0).with_pose([[1, 0, 0, 1.43], [0, 1, 0, 0], [0, 0, 1, 2.18], [0, 0, 0, 1]]).origin_m
             (1.43, 0.0, 2.18)
         """
-        check_arguments("Lidar.with_pose(pose: Quantity)", pose)
+        check_arguments("Lidar.with_pose(pose: Nested)", pose)
         origin_m, rotation = split_pose(pose)
         return replace(self, origin_m=origin_m, rotation=rotation)
 

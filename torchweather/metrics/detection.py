@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.core.arguments import call_given, check_arguments
+from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError, TorchweatherError, check_between, check_one_of
 from torchweather.core.extras import install_hint
 from torchweather.core.precision import outside_autocast
@@ -215,7 +216,7 @@ def _overlap(overlap: Overlap, first: Tensor, second: Tensor) -> Floats:
         raise InputValueError(
             f"average_precision: overlap must give a tensor ({len(first)}, {len(second)}); got {found!r:.200}."
         )
-    values: Floats = found.detach().cpu().numpy()
+    values: Floats = as_numpy(found)
     return values
 
 

@@ -11,6 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.core.arguments import check_arguments
+from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError
 
 __all__ = ["ImageBoxes", "in_order"]
@@ -31,6 +33,7 @@ class ImageBoxes:
                 f"got {came or 'nothing'}."
             )
         labels = entry["labels"]
+        check_arguments("average_precision(labels: Iterable)", labels)
         self.labels = labels.tolist() if isinstance(labels, (np.ndarray, Tensor)) else list(labels)
         count = len(self.labels)
         if not all(isinstance(label, Hashable) for label in self.labels):
@@ -79,7 +82,7 @@ class ImageBoxes:
 
 def _numbers(values: Any, where: str, *, unknown: bool = False) -> Floats:
     """Numbers as float64; NaN where ``unknown`` allows it."""
-    array = values.detach().cpu().numpy() if isinstance(values, Tensor) else values
+    array = as_numpy(values) if isinstance(values, Tensor) else values
     try:
         found: Floats = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -48,7 +48,7 @@ class Binned(SizeDistribution):
         particle: str = "drop",
     ) -> None:
         check_arguments(
-            "Binned(edges_mm: Quantity, density_per_m3_mm: Quantity, particle: str)",
+            "Binned(edges_mm: Nested, density_per_m3_mm: Nested, particle: str)",
             edges_mm,
             density_per_m3_mm,
             particle,

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from torchweather.core.arguments import check_broadcast
 from torchweather.core.errors import check_at_least, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_float64
 from torchweather.physics.refractive_index import ice_refractive_index
@@ -60,6 +61,7 @@ def flake_reflectivity(
     """
     owner = "flake_reflectivity"
     wavelength, radius, g, column = to_float64(wavelength_nm, grain_radius_um, asymmetry, column_kg_per_m2)
+    check_broadcast(owner, wavelength_nm=wavelength, grain_radius_um=radius, asymmetry=g, column_kg_per_m2=column)
     check_positive("grain_radius_um", radius, unit="um", owner=owner)
     check_between("asymmetry", g, 0.5, 1.0, owner=owner)
     check_at_least("column_kg_per_m2", column, 0.0, unit="kg/m^2", owner=owner)

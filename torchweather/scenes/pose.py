@@ -30,7 +30,7 @@ def checked_pose(
         pose = torch.eye(4, dtype=like.dtype, device=like.device)
         pose[:3, 3] = like.new_tensor(mount_m)
         return pose
-    check_arguments("pose(pose: Quantity)", given)
+    check_arguments("pose(pose: Nested)", given)
     pose = torch.as_tensor(given, dtype=like.dtype, device=like.device)
     last = pose.new_tensor([0.0, 0.0, 0.0, 1.0])
     if pose.shape == (4, 4) and bool(torch.isfinite(pose).all()) and torch.equal(pose[3], last):

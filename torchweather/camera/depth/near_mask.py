@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError
 
 __all__ = ["find_near_mask"]
@@ -84,7 +85,7 @@ def _bonnet_edge(rgb: Tensor) -> Array | None:
     if searched < 2 * half + 3 or blocks < 16:
         return None
     block_edges = np.linspace(0, width, blocks + 1).round().astype(np.intp)
-    band: Array = rgb[:, height - searched :].detach().cpu().numpy().astype(np.float32)
+    band: Array = as_numpy(rgb[:, height - searched :]).astype(np.float32)
     band = band / (255.0 if rgb.dtype == torch.uint8 else 1.0)
     band = np.add.reduceat(band, block_edges[:-1], axis=-1) / np.diff(block_edges)
     steps, first_row = _colour_steps(band, half)

@@ -63,7 +63,7 @@ class DepthFromPoints(DepthSource):
 
     def __post_init__(self) -> None:
         check_arguments(
-            "DepthFromPoints(points_xyz: Quantity, T_camera_from_lidar: Quantity, "
+            "DepthFromPoints(points_xyz: Nested, T_camera_from_lidar: Nested, "
             "fill: str, above: str, skyline_window_px: int, upper_edge_rad: float)",
             self.points_xyz,
             self.T_camera_from_lidar,

@@ -113,7 +113,7 @@ class ScenePrior(SceneSource):
         if isinstance(self.near_mask, str):
             check_one_of("near_mask", self.near_mask, ("auto",), owner=self)
         if self.boxes is not None:
-            check_arguments("ScenePrior(boxes: Quantity)", self.boxes)
+            check_arguments("ScenePrior(boxes: Nested)", self.boxes)
             boxes = torch.as_tensor(self.boxes, dtype=torch.float32)
             if boxes.ndim != 2 or boxes.shape[-1] != 4:
                 raise InputValueError(

@@ -12,7 +12,7 @@ from torchweather.camera.depth.completion_scene import CompletedSource, SeenPoin
 from torchweather.camera.depth.hidden_points import unseen_points
 from torchweather.camera.sensor import Camera
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_positive
+from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_between, check_positive
 
 __all__ = ["CompletedDepthMap", "along_ray_to_axis", "depth_from_disparity"]
 
@@ -163,6 +163,8 @@ def depth_from_disparity(disparity_px: Tensor, fx_px: float, baseline_m: float) 
     )
     check_positive("fx_px", fx_px, unit="px", owner="depth_from_disparity")
     check_positive("baseline_m", baseline_m, unit="m", owner="depth_from_disparity")
+    check_between("fx_px", fx_px, 0.0, 1e9, unit="px", owner="depth_from_disparity")
+    check_between("baseline_m", baseline_m, 0.0, 1e6, unit="m", owner="depth_from_disparity")
     disparity_px = disparity_px if disparity_px.is_floating_point() else disparity_px.to(torch.float32)
     known = disparity_px > 0
-    return torch.where(known, fx_px * baseline_m / torch.where(known, disparity_px, 1.0), torch.nan)
+    return torch.where(known, float(fx_px) * float(baseline_m) / torch.where(known, disparity_px, 1.0), torch.nan)

@@ -152,6 +152,7 @@ def read_label_truth(folder: str | os.PathLike[str], stem: str, sensor: str, sha
         sensor,
         shape,
     )
+    check_arguments("read_label_truth(stem: path)", stem)
     check_one_of("sensor", sensor, LABEL_SUFFIXES, owner="read_label_truth")
     if len(shape) != LABEL_AXES[sensor]:
         raise InputValueError(f"read_label_truth: shape must be (H, W) of an image or (N,) of a cloud; got {shape!r}.")

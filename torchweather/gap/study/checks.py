@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import TorchweatherError, nearest_name
 from torchweather.gap.study.frames import Frame
 
@@ -152,7 +153,7 @@ class FrameRule:
 
 def numbers(value: Any, name: str) -> Array:
     """A value as an array of real numbers in native byte order; ``name`` goes into the message."""
-    array = value.detach().cpu().numpy() if isinstance(value, Tensor) else np.asarray(value)
+    array = as_numpy(value) if isinstance(value, Tensor) else np.asarray(value)
     if array.dtype.kind not in "biuf":
         raise TorchweatherError(f"{name} must be real numbers (float, int or bool); got dtype {array.dtype}.")
     return array.astype(array.dtype.newbyteorder("="), copy=False)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchweather.core.arrays import as_numpy
 from torchweather.lidar.scan import empty_beams
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.beam_ends import BeamEnd, beam_ends, ways_above_ground
@@ -96,7 +97,7 @@ def complete_scan(
         heights = cloud.new_tensor(sensor.origin_heights_m)[found_ring]
     columns = sensor.columns or 1
     every = bool(there.all())
-    returns = (cloud[:, :3] if every else cloud[there, :3]).cpu().numpy()
+    returns = as_numpy(cloud[:, :3] if every else cloud[there, :3])
     ends = beam_ends(
         returns,
         direction.cpu().numpy(),
@@ -119,7 +120,7 @@ def complete_scan(
     row_end = torch.where(there, int(BeamEnd.RETURN), int(BeamEnd.UNKNOWN)).to(torch.int8)
     words, row_own = found.words + _echo_words(first_row, there), None
     if own_vehicle is not None:
-        held = own_vehicle.holds(cloud[:, :3].cpu().numpy(), torch.where(there, ring, -1).cpu().numpy())
+        held = own_vehicle.holds(as_numpy(cloud[:, :3]), torch.where(there, ring, -1).cpu().numpy())
         words, row_own = f"{words}; {own_vehicle.words}", torch.from_numpy(held).to(cloud.device)
     return CompletedScan(
         direction,
@@ -163,7 +164,7 @@ def _checked_beams(cloud: Tensor, ring: Tensor, there: Tensor, appended: int, se
     returns = int(there.sum())
     first = None
     number, step_deg = ring.cpu().numpy(), TURN_DEG / columns
-    if holds_pairs(returns, rings, columns) or shares_beams(cloud[:, :3].cpu().numpy(), number, step_deg):
+    if holds_pairs(returns, rings, columns) or shares_beams(as_numpy(cloud[:, :3]), number, step_deg):
         xyz = torch.where(there[:, None], cloud[:, :3], 0.0).double().cpu().numpy()
         rows = first_rows(xyz, number, step_deg)
         first = torch.from_numpy(rows).to(cloud.device)

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def fit_near_response(
 
 
 def _flat(values: Tensor | Numbers | Sequence[float]) -> Numbers:
-    array = values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
+    array = as_numpy(values) if isinstance(values, Tensor) else np.asarray(values)
     flat: Numbers = array.reshape(-1).astype(np.float64)
     return flat
 

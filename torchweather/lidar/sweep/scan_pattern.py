@@ -11,6 +11,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError, check_between
 from torchweather.lidar.sweep.azimuth_step import AzimuthStep, fit_azimuth_step
 from torchweather.lidar.sweep.cone_fit import ConeFit, fit_cones
@@ -363,7 +364,7 @@ def _notes(
 
 
 def _checked(points: Tensor | Numbers) -> Numbers:
-    values = points.detach().cpu().numpy() if isinstance(points, Tensor) else np.asarray(points)
+    values = as_numpy(points) if isinstance(points, Tensor) else np.asarray(points)
     if values.ndim != 2 or values.shape[1] < 3 or values.dtype.kind != "f":
         raise InputValueError(
             "estimate_pattern: points must be one cloud of floating point (N, 3 or more) = x, y, z in metres; got "
@@ -374,7 +375,7 @@ def _checked(points: Tensor | Numbers) -> Numbers:
 
 
 def _checked_ring(ring: Tensor | Integers, rows: int) -> Integers:
-    given = ring.detach().cpu().numpy() if isinstance(ring, Tensor) else np.asarray(ring)
+    given = as_numpy(ring) if isinstance(ring, Tensor) else np.asarray(ring)
     if given.shape != (rows,) or given.dtype.kind not in "iu":
         raise InputValueError(
             f"estimate_pattern: ring must be integers of shape ({rows},), one per row; got {given.dtype}, "

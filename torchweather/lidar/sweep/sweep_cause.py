@@ -10,6 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.frame_fit import FrameOffset
@@ -114,7 +115,7 @@ def refitted_rings(cloud: Tensor, sensor: Lidar) -> SweepRings:
     xyz = cloud[:, :3].detach().cpu().double().numpy()
     given = None
     if sensor.ring_column is not None:
-        given = cloud[:, sensor.ring_column].detach().cpu().numpy().astype(np.int64)
+        given = as_numpy(cloud[:, sensor.ring_column]).astype(np.int64)
         given = np.where((np.square(xyz).sum(1) < sensor.min_range_m**2) | (xyz == 0).all(1), -1, given)
     pattern, fault = None, ""
     try:

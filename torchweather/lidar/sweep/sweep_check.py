@@ -15,6 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.quick_frame import QuickFrame, quick_frame
@@ -98,7 +99,7 @@ def checked_rings(cloud: Tensor, sensor: Lidar) -> tuple[SweepRings, Tensor]:
         ValueError: the sweep is in another frame, of another sensor, thinned, or written twice.
     """
     _check_ring_column(cloud, sensor)
-    xyz = cloud[:, :3].detach().cpu().numpy()
+    xyz = as_numpy(cloud[:, :3])
     _refuse_copies(xyz)
     frame = QuickFrame()
     try:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchweather.core.arrays import as_numpy
 from torchweather.lidar.scan import recover_ring
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.sweep.ring_order import rings_from_order
@@ -71,7 +72,7 @@ def sweep_rings(cloud: Tensor, sensor: Lidar) -> SweepRings:
     seen = (squared_m2 > 0) & (squared_m2 >= sensor.min_range_m**2)
     ring = np.full(len(xyz), -1, np.int64)
     if sensor.ring_column is not None:
-        column = cloud[:, sensor.ring_column].detach().cpu().numpy().astype(np.int64)
+        column = as_numpy(cloud[:, sensor.ring_column]).astype(np.int64)
         inside = seen & (column >= 0) & (column < len(elevations))
         ring[inside] = column[inside]
         words = "rings from the ring column"
