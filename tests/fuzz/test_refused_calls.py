@@ -34,7 +34,7 @@ from torchweather.datasets.boxes import turned_back
 from torchweather.evaluation.sweep.run import sweep
 from torchweather.export import ImageToDetector
 from torchweather.image import colour_matrix, normalise, white_balance
-from torchweather.io import PointCloud, parsivel_area_mm2
+from torchweather.io import PointCloud, PointLabels, merge_kind, parsivel_area_mm2
 from torchweather.lidar import estimate_pattern, scan_count_problem
 from torchweather.lidar.effects.empirical import Empirical
 from torchweather.lidar.scan import empty_beams
@@ -300,6 +300,10 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         "shapes must broadcast",
     ),
     "samples beyond memory": (lambda: sample_seeds((10**30,)), "batch_shape must be of 2147483648 samples at most"),
+    "sources of another batch": (
+        lambda: merge_kind(PointLabels(torch.arange(4), torch.arange(4)), torch.zeros(3, 4), torch.zeros(3, 4)),
+        "source must have the batch of labels",
+    ),
     "headings turned upright": (
         lambda: turned_back(torch.zeros(1), torch.eye(3)[:, :2], torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])),
         "keeps headings level",

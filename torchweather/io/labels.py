@@ -212,7 +212,7 @@ def merge_kind(
         tensor([ 40, 110,   0])
     """
     check_arguments(
-        "merge_kind(labels: PointLabels, kind: Tensor, source: Tensor | None, particle_class: int, lost_class: int)",
+        "merge_kind(labels: PointLabels, kind: real, source: real | None, particle_class: int, lost_class: int)",
         labels,
         kind,
         source,
@@ -228,6 +228,11 @@ def merge_kind(
             f"merge_kind: kind must have the shape of {'labels' if source is None else 'source'}, "
             f"{tuple(labels.classes.shape if source is None else shape)}; got {tuple(kind.shape)}."
             f"{' Give source, where points were dropped or appended.' if source is None else ''}"
+        )
+    if source is not None and source.shape[:-1] != labels.classes.shape[:-1]:
+        raise InputValueError(
+            f"merge_kind: source must have the batch of labels, {tuple(labels.classes.shape[:-1])}; got "
+            f"{tuple(source.shape)}."
         )
     classes, instances = labels.classes, labels.instances
     none = torch.zeros_like(kind, dtype=torch.bool)
