@@ -132,7 +132,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "cells beyond the earth": (lambda: gathered(scatterers(), 0.004, 2**64), "cell_m must lie in 1e-09..1e"),
     "endless triangles": (lambda: subdivide(TRIANGLE, 1e-6), "at most 4000000 triangles; got 1e-06 m"),
     "clouds of a number": (lambda: Collate(clouds=torch.tensor(1.0)), "clouds must be a sequence of keys"),
-    "clouds that are none": (lambda: collate_list(range(3)), "clouds must be a sequence of Tensor"),
+    "clouds that are none": (lambda: collate_list(range(3)), "clouds must be a sequence of real"),
     "complex colours": (lambda: colour_matrix(RGB, torch.ones(3, 3) * 1j), "matrix must be a number or a tensor"),
     "gains of another batch": (lambda: white_balance(RGB, torch.ones(4, 3)), "shapes must broadcast"),
     "columns of numbers": (lambda: PointCloud(torch.zeros(2, 3), range(3)), "columns must be a sequence of str"),

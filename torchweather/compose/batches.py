@@ -16,7 +16,7 @@ __all__ = ["collate_indexed", "collate_list", "collate_padded", "join_indexed", 
 
 def collate_list(clouds: Sequence[PointCloud | Tensor]) -> list[Tensor]:
     """The points of each cloud, ``(N_i, C)``, as a list; a ``collate_fn`` for a ``DataLoader``."""
-    check_arguments("collate_list(clouds: Sequence[Tensor] | Sequence[PointCloud])", clouds)
+    check_arguments("collate_list(clouds: Sequence[real] | Sequence[PointCloud])", clouds)
     points = [cloud.points if isinstance(cloud, PointCloud) else cloud for cloud in clouds]
     if not points or any(cloud.ndim != 2 or cloud.shape[1] != points[0].shape[1] for cloud in points):
         shapes = ", ".join(str(tuple(cloud.shape)) for cloud in points) or "none"
@@ -48,7 +48,7 @@ def collate_padded(clouds: Sequence[PointCloud | Tensor]) -> tuple[Tensor, Tenso
 
 def split_padded(points: Tensor, mask: Tensor) -> list[Tensor]:
     """The clouds of `collate_padded`, ``(N_i, C)`` each, without the rows that pad."""
-    check_arguments("split_padded(points: real, mask: Tensor)", points, mask)
+    check_arguments("split_padded(points: real, mask: real | mask)", points, mask)
     if points.ndim != 3 or mask.shape != points.shape[:2] or mask.dtype != torch.bool:
         raise InputValueError(
             f"split_padded: points must be (B, N, C) and mask (B, N) bool; got {tuple(points.shape)} and {mask.dtype} "
@@ -94,7 +94,7 @@ def split_indexed(points: Tensor, n_samples: int | None = None) -> list[Tensor]:
     return list(torch.split(points[order, 1:], lengths)) if count else []
 
 
-def join_indexed(clouds: Sequence[Tensor], like: Tensor) -> Tensor:
+def join_indexed(clouds: Sequence[real], like: real) -> Tensor:
     """Put clouds back into the rows that they came from: the inverse of `split_indexed`, for samples in any order.
 
     Args:
@@ -102,7 +102,7 @@ def join_indexed(clouds: Sequence[Tensor], like: Tensor) -> Tensor:
             `collate_indexed`.
         like: ``(N, 1 + C)`` the batch that was split.
     """
-    check_arguments("join_indexed(clouds: Sequence[Tensor], like: Tensor)", clouds, like)
+    check_arguments("join_indexed(clouds: Sequence[real], like: real)", clouds, like)
     index = _sample_index(like, "join_indexed")
     if not all(cloud.ndim == 2 for cloud in clouds):
         raise InputValueError(
