@@ -94,7 +94,7 @@ def split_indexed(points: Tensor, n_samples: int | None = None) -> list[Tensor]:
     return list(torch.split(points[order, 1:], lengths)) if count else []
 
 
-def join_indexed(clouds: Sequence[real], like: real) -> Tensor:
+def join_indexed(clouds: Sequence[Tensor], like: Tensor) -> Tensor:
     """Put clouds back into the rows that they came from: the inverse of `split_indexed`, for samples in any order.
 
     Args:
