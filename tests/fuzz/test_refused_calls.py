@@ -45,6 +45,7 @@ from torchweather.physics import (
     axial_q_back,
     equal_visibility_rain_rate,
     flake_reflectivity,
+    henyey_greenstein_per_sr,
     marshall_palmer,
     maxwell_garnett,
     precipitation_rate_mm_per_h,
@@ -303,6 +304,17 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "sources of another batch": (
         lambda: merge_kind(PointLabels(torch.arange(4), torch.arange(4)), torch.zeros(3, 4), torch.zeros(3, 4)),
         "source must have the batch of labels",
+    ),
+    "takes of less than nothing": (
+        lambda: mean_extra_m(
+            PatchField(torch.zeros(1, AZIMUTHS + 1, NODES), 1.0), [Rain(1.0)], [torch.full((1,), -1.0)]
+        ),
+        "takes must lie in 0..1e",
+    ),
+    "gains out of range": (lambda: white_balance(RGB, [2.0, 1e300, 1.5]), "gains must lie in -1e"),
+    "angles of another shape": (
+        lambda: henyey_greenstein_per_sr(torch.zeros(4), torch.zeros(3)),
+        "shapes must broadcast; got angle_rad",
     ),
     "headings turned upright": (
         lambda: turned_back(torch.zeros(1), torch.eye(3)[:, :2], torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])),

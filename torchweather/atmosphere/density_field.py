@@ -154,6 +154,8 @@ def mean_extra_m(patches: PatchField, weathers: Sequence[Weather], takes: Sequen
         raise InputValueError(
             f"mean_extra_m: takes must be a tensor (B,) for each of {len(weathers)} weathers; got {len(takes)}."
         )
+    for take in takes:
+        check_between("takes", take, 0.0, 1e9, unit="1/m", owner="mean_extra_m")
     total = torch.stack(list(takes)).sum(0).clamp_min(NOTHING)
     shares = [(take / total)[:, None, None] for take in takes]
     return sum(

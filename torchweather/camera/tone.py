@@ -126,6 +126,7 @@ def white_balance(rgb: Tensor, gains: Tensor | Sequence[float]) -> Tensor:
     check_arguments("white_balance(rgb: floating(..., 3, H, W), gains: real | Sequence[float])", rgb, gains)
     factors = torch.as_tensor(gains, dtype=rgb.dtype, device=rgb.device)
     check_arguments("white_balance(gains: floating(..., 3))", factors)
+    check_between("gains", factors, -1e6, 1e6, owner="white_balance")
     check_broadcast("white_balance", rgb=rgb.new_empty(rgb.shape[:-2]), gains=factors)
     return rgb * factors[..., None, None]
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputValueError, check_between
 from torchweather.physics.efficiency_table import size_nodes_mm
 from torchweather.physics.extinction import support_mm
@@ -116,6 +116,7 @@ def henyey_greenstein_per_sr(angle_rad: Quantity, asymmetry: Quantity) -> Tensor
         True
     """
     check_arguments("henyey_greenstein_per_sr(angle_rad: Quantity, asymmetry: Quantity)", angle_rad, asymmetry)
+    check_broadcast("henyey_greenstein_per_sr", angle_rad=angle_rad, asymmetry=asymmetry)
     angle, g = to_float64(angle_rad, asymmetry)
     check_between("angle_rad", angle, 0.0, HALF_TURN_RAD, unit="rad", owner="henyey_greenstein_per_sr")
     check_between("asymmetry", g, -0.9999, 0.9999, owner="henyey_greenstein_per_sr")
