@@ -154,6 +154,10 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: expected_trends({"road": {"ssim": 1.0}}, {"ssim": "up"}),
         "road: ssim must have one entry per level; got 1.0",
     ),
+    "direction of an array": (
+        lambda: expected_trends({"road": {"ssim": [0.9, 0.5]}}, {"ssim": np.arange(4)}),
+        "direction of ssim must be 'up'",
+    ),
     "complex points": (lambda: point_counts(torch.ones(4, 4) * 1j), "points must be a tensor of real numbers"),
     "labels of tensors": (
         lambda: object_boxes(track(), torch.eye(4), (torch.ones(2),)),

@@ -159,7 +159,7 @@ def _scene(
     trends: dict[str, Trend] = {}
     shown: list[NDArray[np.bool_] | None] = []
     for metric, levels in metrics.items():
-        if direction.get(metric) not in DIRECTIONS:
+        if not isinstance(direction.get(metric), str) or direction[metric] not in DIRECTIONS:
             raise InputValueError(
                 f"expected_trends: direction of {metric} must be 'up' (higher is better) or 'down'; got "
                 f"{direction.get(metric)!r}."
