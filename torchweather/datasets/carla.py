@@ -189,7 +189,7 @@ def points_from_carla(measurement: CarlaMeasurement, reflectivity: float | None 
         points = torch.from_numpy(_rows(measurement, "points_from_carla"))
     points[:, 1] = 0.0 - points[:, 1]  # 0 stays 0, without a sign
     if reflectivity is not None:
-        check_between("reflectivity", reflectivity, 0.0, math.inf, owner="points_from_carla")
+        check_between("reflectivity", reflectivity, 0.0, 1e6, owner="points_from_carla")
         points[:, 3] = reflectivity * points[:, 3].abs() if semantic else reflectivity
     return points
 

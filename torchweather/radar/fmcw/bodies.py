@@ -182,7 +182,8 @@ def corner_scatterers(
     edges = _inner_edges(facing)
     cosines = torch.einsum("mex,mx->me", edges, (-position / range_m).to(edges))
     field = corner_reflector_rcs_m2(edge_m, wavelength_m, cosines).sqrt()
-    return _moving(position, velocity_m_per_s, field.to(position_m.dtype.to_complex()), owner)
+    exact = torch.promote_types(position_m.dtype, torch.float32)  # as of triangle_field_m
+    return _moving(position, velocity_m_per_s, field.to(exact.to_complex()), owner)
 
 
 def gathered(scatterers: Scatterers, wavelength_m: float, cell_m: float) -> Scatterers:
