@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.arrays import as_numpy
 from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.core.inflation import check_inflated
@@ -176,7 +177,7 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, like: ImageInfo 
         raise TorchweatherError(
             f"{target}: wanted an image of shape (H, W), (1, H, W) or (3, H, W); got {tuple(image.shape)}."
         )
-    array = pixels.numpy()
+    array = as_numpy(pixels)
     if suffix == ".npz":
         name = "bayer" if array.shape[-3] == 1 else "rgb"
         write_archive(target, {(like.array if like else None) or name: _laid_out(array, like)})

@@ -33,8 +33,13 @@ class RainField:
     high_m: Point
 
     def __post_init__(self) -> None:
+        check_arguments("RainField(low_m: Sequence[float], high_m: Sequence[float])", self.low_m, self.high_m)
         for name in ("low_m", "high_m"):
-            check_finite(name, torch.tensor(getattr(self, name)), unit="m", owner=self)
+            corner = tuple(float(one) for one in getattr(self, name))
+            if len(corner) != 3:
+                raise InputValueError(f"RainField: {name} must be x, y, z in metres; got {getattr(self, name)!r}.")
+            check_finite(name, torch.tensor(corner), unit="m", owner=self)
+            object.__setattr__(self, name, corner)
         if not all(low < high for low, high in zip(self.low_m, self.high_m, strict=True)):
             raise InputValueError(
                 f"RainField: expected low_m below high_m in x, y and z, metres; got {self.low_m} and {self.high_m}."

@@ -89,13 +89,17 @@ def sky_mask(
         tensor([1., 0.])
     """
     check_arguments(
-        "sky_mask(rgb: real, horizon_row: float | None, vanishing_column: float | None, returns: Tensor | None)",
+        "sky_mask(rgb: real, horizon_row: float | None, vanishing_column: float | None, returns: real | mask | None)",
         rgb,
         horizon_row,
         vanishing_column,
         returns,
     )
     if rgb.ndim == 4:
+        if returns is not None and len(returns) != len(rgb):
+            raise InputValueError(
+                f"sky_mask: returns must have one mask for each of {len(rgb)} pictures; got {tuple(returns.shape)}."
+            )
         marks = [None] * len(rgb) if returns is None else returns
         frames = [
             sky_mask(frame, horizon_row=horizon_row, vanishing_column=vanishing_column, returns=mark)
