@@ -370,6 +370,8 @@ def _levels(dtype: torch.dtype, black: float, white: float | None, owner: str) -
     full = 1.0 if dtype.is_floating_point else _FULL_SCALE[dtype]
     check_arguments(f"{owner}(black_level: float, white_level: float | None)", black, white)
     black, white = float(black), full if white is None else float(white)
+    check_between("black_level", black, -1e9, 1e9, owner=owner)
+    check_between("white_level", white, -1e9, 1e10, owner=owner)
     if not (math.isfinite(black) and math.isfinite(white) and white - black > LEAST_LEVELS * max(1.0, abs(white))):
         raise InputValueError(
             f"{owner}: white_level must be above black_level, both in raw units; got black_level={black!r} and "
