@@ -132,7 +132,7 @@ def test_measured_rain_survives_yaml() -> None:
 def test_unknown_fields_of_a_dictionary_are_refused() -> None:
     with pytest.raises(ValueError, match=r"Rain: unknown field 'rate_mm_h'. Did you mean"):
         weather_from_dict({"kind": "rain", "rate_mm_h": 3.0})
-    with pytest.raises(ValueError, match="weather kind must be one of rain, fog, snow; got 'hail'"):
+    with pytest.raises(ValueError, match=r"weather kind must be one of rain, fog, snow, .*; got 'hail'"):
         weather_from_dict({"kind": "hail"})
 
 

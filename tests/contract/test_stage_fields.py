@@ -12,11 +12,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.atmosphere import condition_scene
 from tests.behaviour.cases import cases
 from tests.contract.table import CAMERA, LIDAR, TABLE, H, W, cloud, frame, map_weather, rays
 from tests.contract.traced import Trace, traced
 from tests.lidar.effects import effect_scene
 from tests.radar.effects import radar_effect_scene
+from torchweather.atmosphere.conditions import WetRoad, WetWindow
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.camera.depth import SceneDepth
 from torchweather.lidar.effects.empirical import AXES, KINDS, Empirical
@@ -88,6 +90,16 @@ def radars() -> None:
     ran(maps, TABLE["RadarMapWeather"].data(2))
 
 
+def conditions() -> None:
+    """Water on the road and the windows, normals from the depth and from the call."""
+    wet = Mixture(Rain(20.0), WetRoad(puddles=0.5), WetWindow(speed_m_per_s=10.0))
+    image = condition_scene.frame((2,))
+    transform = condition_scene.camera_in(wet)
+    ran(transform, image)
+    ran(transform, image, normal=torch.zeros(3, *image.shape[-2:]))
+    ran(LidarWeather(wet, condition_scene.LIDAR), condition_scene.cloud())
+
+
 @pytest.fixture(scope="module")
 def trace() -> Trace:
     """All stages of the catalogue at work."""
@@ -97,7 +109,7 @@ def trace() -> Trace:
                 case()
         for entry in TABLE.values():
             ran(entry.built(), entry.data(2), **entry.beside(2))
-        for more in (cameras, lidars, radars):
+        for more in (cameras, lidars, radars, conditions):
             more()
     return trace
 

@@ -7,6 +7,7 @@ intensity a pair (low, high): then ``drawn`` gives one weather of it, and ``Comp
 
 from __future__ import annotations
 
+import importlib
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -117,6 +118,11 @@ class Weather:
     def parts(self) -> tuple[Weather, ...]:
         """The weathers this one is made of; itself unless it is a mixture."""
         return (self,)
+
+    @property
+    def conditions(self) -> tuple[Weather, ...]:
+        """Water and snow on things (``atmosphere/conditions``); none unless it is a mixture that holds some."""
+        return ()
 
     @property
     def random(self) -> dict[str, Distribution]:
@@ -507,7 +513,7 @@ def _rehearse_between(mor_m: Intensity) -> LogNormal:
 
 def check_drawn(weather: Weather, *, owner: object) -> None:
     """Raise where a weather has yet to be drawn."""
-    for part in weather.parts:
+    for part in (*weather.parts, *weather.conditions):
         for name, one in part.random.items():
             raise InputValueError(
                 f"{owner_name(owner)}: {name} must be a number here; got {one!r}. Draw one weather, "
@@ -544,7 +550,8 @@ class Mixture(Weather):
     """Several weathers at once: ``Mixture(Rain(10), Fog(mor_m=200))``.
 
     Extinctions add, particles of all kinds compete, the sensor measures once. The order does not matter, and
-    ``Mixture(x)`` is ``x``.
+    ``Mixture(x)`` is ``x``. Water and snow on things (``torchweather.atmosphere.conditions``) are weathers too:
+    ``Mixture(Rain(10), WetRoad())``. They are its ``conditions``; its ``parts`` are what is in the air.
 
     Example:
         >>> [part.kind for part in Mixture(Snow(1), Fog(mor_m=300)).parts]
@@ -561,9 +568,10 @@ class Mixture(Weather):
                     f"Mixture: expected weathers, such as Mixture(Rain(10), Fog(mor_m=200)); got {one!r} among them."
                 )
         flat = [part for weather in given for part in weather.parts]
-        if not flat:
+        on_things = [one for weather in given for one in weather.conditions]
+        if not flat and not on_things:
             raise InputValueError("Mixture: wanted at least one weather; got none.")
-        kinds = [part.kind for part in flat]
+        kinds = [part.kind for part in (*flat, *on_things)]
         for kind in set(kinds):
             if kinds.count(kind) > 1:
                 raise InputValueError(
@@ -571,6 +579,7 @@ class Mixture(Weather):
                     "extinctions, for fog) into one."
                 )
         self._parts = tuple(sorted(flat, key=lambda part: part.kind))
+        self._conditions = tuple(sorted(on_things, key=lambda one: one.kind))
         lengths = {part.kind: part.patch_length_m for part in self._parts if part.patch_log_std != 0.0}
         if len({repr(length) for length in lengths.values()}) > 1:
             said = ", ".join(f"{kind} {length!r}" for kind, length in lengths.items())
@@ -580,38 +589,53 @@ class Mixture(Weather):
 
     @property
     def parts(self) -> tuple[Weather, ...]:
-        """The weathers, in a fixed order."""
+        """The weathers in the air, in a fixed order."""
         return self._parts
 
     @property
+    def conditions(self) -> tuple[Weather, ...]:
+        """Water and snow on things, in a fixed order."""
+        return self._conditions
+
+    @property
+    def _all(self) -> tuple[Weather, ...]:
+        return (*self._parts, *self._conditions)
+
+    @property
     def random(self) -> dict[str, Distribution]:
-        """Fields of the parts that are drawn for each sample, as ``rain.rate_mm_per_h``."""
-        return {f"{part.kind}.{name}": one for part in self._parts for name, one in part.random.items()}
+        """Fields of the parts and conditions that are drawn for each sample, as ``rain.rate_mm_per_h``."""
+        return {f"{part.kind}.{name}": one for part in self._all for name, one in part.random.items()}
 
     def drawn(self, seed: int) -> Mixture:
-        """One of each part."""
+        """One of each part and condition."""
         check_arguments("Mixture.drawn(seed: int)", seed)
-        return Mixture(*(part.drawn(seed) for part in self._parts))
+        return Mixture(*(part.drawn(seed) for part in self._all))
 
     def densest(self) -> Mixture:
         """The densest of each part."""
-        return Mixture(*(part.densest() for part in self._parts))
+        return Mixture(*(part.densest() for part in self._all))
 
     def __repr__(self) -> str:
-        return f"Mixture({', '.join(map(repr, self._parts))})"
+        return f"Mixture({', '.join(map(repr, self._all))})"
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Mixture) and self._parts == other._parts
+        return isinstance(other, Mixture) and self._all == other._all
 
     def __hash__(self) -> int:
-        return hash(self._parts)
+        return hash(self._all)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values: the parts."""
-        return {"kind": self.kind, "parts": [part.to_dict() for part in self._parts]}
+        """Plain values: the parts and conditions."""
+        return {"kind": self.kind, "parts": [part.to_dict() for part in self._all]}
 
 
+CLEAR_AIR = Rain(0.0)
+"""Air in which nothing falls, for the chain of a weather that is on things alone."""
 WEATHERS: dict[str, type[Rain] | type[Fog] | type[Snow]] = {"rain": Rain, "fog": Fog, "snow": Snow}
+CONDITIONS: dict[str, type[Any]] = {}
+"""Kind to class of water and snow on things; filled by ``torchweather.atmosphere.conditions``."""
+# It builds on this file and is found by its name, so that a file can hold a condition in a process without any yet.
+CONDITIONS_ROOM = "torchweather.atmosphere.conditions"
 EXAMPLES = {"rain": "rain:rate=25", "fog": "fog:mor=100", "snow": "snow:rate=1"}
 # Short names that the command line takes.
 ALIASES = {
@@ -633,15 +657,23 @@ def weather_from_dict(values: Mapping[str, Any]) -> Weather:
     if kind == "mixture":
         check_value(values.get("parts"), ROWS, "Mixture", "parts")
         return Mixture(*(weather_from_dict(part) for part in values["parts"]))
-    check_one_of("weather kind", kind, WEATHERS, owner="torchweather")
-    return WEATHERS[str(kind)].from_dict(values)
+    kinds = weather_kinds()
+    check_one_of("weather kind", kind, kinds, owner="torchweather")
+    found: Weather = kinds[str(kind)].from_dict(values)
+    return found
+
+
+def weather_kinds() -> dict[str, type[Any]]:
+    """Kind to class of what is in the air and of what lies on things."""
+    importlib.import_module(CONDITIONS_ROOM)
+    return {**WEATHERS, **CONDITIONS}
 
 
 def parse_weather(text: str, *, random: bool = False) -> Weather:
     """Read a weather as the command line takes it: ``rain:rate=25``, ``fog:mor=30+rain:rate=5``.
 
     Args:
-        text: kinds with their fields.
+        text: kinds with their fields; conditions of things too, ``rain:rate=10+wet-road:water=1``.
         random: takes ranges too, ``rain:rate=1..50``.
 
     Example:
@@ -658,7 +690,9 @@ def parse_weather(text: str, *, random: bool = False) -> Weather:
 
 def _parse_one(text: str) -> Weather:
     kind, _, arguments = text.strip().partition(":")
-    check_one_of("weather", kind, WEATHERS, owner="torchweather")
+    kinds = weather_kinds()
+    check_one_of("weather", kind, kinds, owner="torchweather")
+    aliases = ALIASES if kind in WEATHERS else kinds[kind].aliases
     values: dict[str, Any] = {}
     for argument in filter(None, arguments.split(",")):
         key, equals, value = argument.partition("=")
@@ -666,9 +700,9 @@ def _parse_one(text: str) -> Weather:
             raise InputValueError(
                 f"torchweather: weather {text!r}: wanted key=value, for example rate=25; got {argument!r}."
             )
-        values[ALIASES.get(key.strip(), key.strip())] = _plain(value.strip())
-    weather = WEATHERS[kind].from_dict(values)
-    if weather.intensity_name not in values:
+        values[aliases.get(key.strip(), key.strip())] = _plain(value.strip())
+    weather: Weather = kinds[kind].from_dict(values)
+    if kind in WEATHERS and weather.intensity_name not in values:
         # The constructors' own value is clear air, which nobody writes this for.
         wanted = "a visibility in metres" if kind == "fog" else "a rate in mm/h"
         raise InputValueError(

@@ -32,6 +32,8 @@ class CameraScene:
         near_mask: ``(1 or B, 1, H, W)`` share of each pixel that shows the own vehicle, with no weather in front of it;
             ``None``: nowhere.
         sine_elevation: ``(1 or B, 1, H, W)`` sine of each ray's elevation above the horizon; ``None`` where not known.
+        damp: ``(B, 1, H, W)`` share of each pixel's surface that water can darken; ``None``: all of it.
+        pool: ``(B, 1, H, W)`` share of each pixel's surface that lies under smooth water; ``None``: all of it.
     """
 
     depth_m: Tensor
@@ -42,6 +44,8 @@ class CameraScene:
     sky: Tensor | None = None
     near_mask: Tensor | None = None
     sine_elevation: Tensor | None = None
+    damp: Tensor | None = None
+    pool: Tensor | None = None
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from torchweather.atmosphere.density_field import PatchyAir, patchy_air
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, check_intensities
 from torchweather.camera.airlight import airlight_argument, given_or_estimated, scaled_airlight
 from torchweather.camera.bayer import cfa_colour_index
+from torchweather.camera.conditions import camera_conditions
 from torchweather.camera.depth import EXACT, SceneDepth, as_depth_source, check_depth, scene_of
 from torchweather.camera.depth.source import warn_of_depth
 from torchweather.camera.exposure import ExposureControl, as_exposure_control
@@ -35,7 +36,8 @@ from torchweather.core.precision import outside_autocast
 from torchweather.core.random import sample_seeds, sizes_of
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
-from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
+from torchweather.pipeline.conditions import with_conditions
+from torchweather.pipeline.effect import Effect
 from torchweather.pipeline.sensor_transform import Sizes, WeatherTransform
 from torchweather.pipeline.stage import Stage
 from torchweather.pipeline.tiling import is_exporting
@@ -71,7 +73,8 @@ class BayerWeather(WeatherTransform):
     """Any weather on a raw Bayer frame: rain, fog, snow or a ``Mixture``.
 
     Args:
-        weather: what falls; its intensity may be a tensor of the batch shape.
+        weather: what falls, and water or snow on things (``torchweather.atmosphere.conditions``); its intensity may be
+            a tensor of the batch shape.
         camera: the camera that took the frame.
         depth: depth of the scene where the call gives none: a number of metres, a map, a depth source such as
             ``FlatGround()``, or a function of the image.
@@ -230,13 +233,20 @@ class BayerWeather(WeatherTransform):
                 if name == "extinction_and_airlight":
                     lit["lamp_veil"] = LampVeil()
             stages = lit
+        conditions = camera_conditions(weather)
+        meter: dict[str, Stage] = {}
         if exposure_control is not None:
             control = as_exposure_control(exposure_control, owner=self)
-            stages = {"exposure_meter": control.meter(), **stages, "exposure_control": control}
+            meter = {"exposure_meter": control.meter()}
+            stages = {**stages, "exposure_control": control}
+            # It meters the clear frame; effects of the scene without a condition belong to the scene that it meters.
+            stages = stages if conditions.effects else {**meter, **stages}
         stages["quantise"] = Quantise()
         check_arguments("BayerWeather(effects: Sequence)", effects)
-        built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
-        self.chain = with_effects(Chain(stages), built)
+        chain = with_conditions(Chain(stages), effects, conditions, self)
+        if meter and conditions.effects:
+            chain = Chain({**meter, **chain.stages})
+        self.chain = chain
         self.as_built = AsBuilt.of(self.chain)
         self._rays: dict[tuple[Any, ...], Rays] = {}
 

@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
 
 def everything() -> dict[str, Any]:
     """All names of the library as plain values."""
-    from torchweather.atmosphere.weather import REHEARSE, WEATHERS
+    from torchweather.atmosphere.weather import REHEARSE, WEATHERS, weather_kinds
     from torchweather.physics import FOG, RAIN, SNOW
     from torchweather.recipes import MultiSensorRecipe, Recipe, SuiteRecipe, list_recipes
     from torchweather.sensors import SENSOR_CLASSES
@@ -57,6 +57,9 @@ def everything() -> dict[str, Any]:
             for name, source in sensor.presets().items()
         ],
         "weathers": [{"name": kind, "knob": weather.intensity_name} for kind, weather in WEATHERS.items()],
+        "conditions": [
+            {"name": kind, "fields": list(one.ranges)} for kind, one in weather_kinds().items() if kind not in WEATHERS
+        ],
         "size_distributions": {"rain": sorted(RAIN), "fog": sorted({*FOG, REHEARSE}), "snow": sorted(SNOW)},
         "stages": sorted(STAGES),
     }
@@ -83,4 +86,6 @@ def listing_text(names: dict[str, Any]) -> str:
         for weather in names["weathers"]
     ]
     lines += ["  " + line for line in aligned([["kind", "knob", "size distributions"], *rows])]
+    lines += ["", "Water and snow on things (--weather rain:rate=10+KIND:FIELD=VALUE)", ""]
+    lines += ["  " + line for line in aligned([[one["name"], ", ".join(one["fields"])] for one in names["conditions"]])]
     return "\n".join([*lines, "", "Stages", "", *(f"  {name}" for name in names["stages"])])

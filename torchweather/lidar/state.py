@@ -31,6 +31,8 @@ class LidarScene:
         cos_incidence: ``(1 or B, N)`` cosine between the beam and the normal of the surface it meets; ``None`` where
             not known.
         up: ``(1 or B, N)`` upward component of that normal, -1 to 1; ``None`` where not known.
+        damp: ``(B, N)`` share of the surface that water can darken; ``None``: all of it.
+        pool: ``(B, N)`` share of the surface that lies under smooth water; ``None``: none of it.
         grid: rows and columns of an organised cloud, or ``None``.
     """
 
@@ -43,6 +45,8 @@ class LidarScene:
     borrowed_intensity: Tensor | None = None
     cos_incidence: Tensor | None = None
     up: Tensor | None = None
+    damp: Tensor | None = None
+    pool: Tensor | None = None
     grid: tuple[int, int] | None = None
 
 
@@ -189,6 +193,8 @@ PER_BEAM = (
     "beam_density",
     "cos_incidence",
     "up",
+    "damp",
+    "pool",
 )
 
 for _part in (LidarScene, LidarAir, LidarReturns, LidarReceiver, LidarState):

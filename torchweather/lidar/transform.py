@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import PatchyAir, patchy_air
-from torchweather.atmosphere.weather import Snow, Weather, check_intensities
+from torchweather.atmosphere.weather import CLEAR_AIR, Snow, Weather, check_intensities
 from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.core.precision import outside_autocast
@@ -21,6 +21,7 @@ from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
 from torchweather.lidar.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
 from torchweather.lidar.clouds import check_points
 from torchweather.lidar.doppler import RadialSpeed
+from torchweather.lidar.conditions import lidar_conditions
 from torchweather.lidar.expected_detection import expected_detection
 from torchweather.lidar.frame_check import warn_of_frame
 from torchweather.lidar.intensity import are_integers, borrowed_intensity, zero_intensity
@@ -34,7 +35,8 @@ from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask, checked_own_veh
 from torchweather.physics import SNOW_PACK_REFLECTIVITY
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
-from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
+from torchweather.pipeline.conditions import with_conditions
+from torchweather.pipeline.effect import Effect
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.pipeline.sensor_transform import WeatherTransform
 from torchweather.pipeline.tiling import is_exporting
@@ -99,7 +101,8 @@ class LidarWeather(WeatherTransform):
     picks from everything above its threshold.
 
     Args:
-        weather: ``Rain``, ``Fog``, ``Snow`` or a ``Mixture`` of them.
+        weather: ``Rain``, ``Fog``, ``Snow`` or a ``Mixture`` of them, with water or snow on things
+            (``torchweather.atmosphere.conditions``) or without.
         sensor: the LiDAR.
         q_eff: extinction efficiency that the sensor sees; ``None`` is 1.1 for rain and snow and 2 for fog.
         q_back: backscatter efficiency of raindrops; ``None`` is 0.2 (0.06 at 1550 nm), ``"glints"`` the lower bound
@@ -230,7 +233,7 @@ class LidarWeather(WeatherTransform):
         weather = weather.densest()
         self.lost, self.complete_scan = lost, complete_scan
         published = "d3_4" if variant == "d3_4" else None
-        parts = _with_packed_flakes(weather.parts) if variant == "hahner" else weather.parts
+        parts = _with_packed_flakes(weather.parts) if variant == "hahner" else weather.parts or (CLEAR_AIR,)
         air = patchy_air(weather)
         if air and published:
             raise InputValueError(f'{type(self).__name__}: variant="d3_4" knows no patches; set patch_log_std=0.')
@@ -251,8 +254,7 @@ class LidarWeather(WeatherTransform):
                 **doppler,
             }
         )
-        built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
-        self.chain = with_effects(plain, built)
+        self.chain = with_conditions(plain, effects, lidar_conditions(weather, sensor), self)
         self.as_built = AsBuilt.of(self.chain)
 
     def _check_variant(self, weather: Weather, variant: str | None) -> None:

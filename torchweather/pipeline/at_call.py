@@ -39,11 +39,34 @@ def weather_at_call(weather: Weather, p: float, batch: Sequence[int], seeds: Seq
         tensor([ True, False, False, False])
     """
     drawn = [weather.drawn(seed) for seed in seeds]
+    conditions = _conditions(weather, drawn, p, batch, owner)
     wet = [p >= 1.0 or float(keyed_stream(seed, "weather.p").random()) < p for seed in seeds]
     parts = [
         _part(part, [one.parts[place] for one in drawn], wet, batch, owner) for place, part in enumerate(weather.parts)
     ]
-    return parts[0] if len(parts) == 1 else Mixture(*parts)
+    if conditions and not batch and not wet[0]:
+        conditions = tuple(replace(one, **{one.intensity_name: 0.0}) for one in conditions)  # type: ignore[type-var]
+    return parts[0] if len(parts) == 1 and not conditions else Mixture(*parts, *conditions)
+
+
+def _conditions(
+    weather: Weather, drawn: Sequence[Weather], p: float, batch: Sequence[int], owner: object
+) -> tuple[Weather, ...]:
+    """Water and snow on things, which all samples of a batch share."""
+    if len(drawn) > 1 and weather.conditions:
+        kind = weather.conditions[0].kind
+        if p < 1.0:
+            raise InputValueError(
+                f"{owner_name(owner)}: {kind} is one for all samples of a batch, and p leaves some of them clear; got "
+                f"p={p:g}. Draw the weather before the batch is made (WeatherDataset, Compose)."
+            )
+        for one in weather.conditions:
+            for name, given in one.random.items():
+                raise InputValueError(
+                    f"{owner_name(owner)}: {one.kind}.{name} is one value for all samples of a batch; got {given!r}. "
+                    "Draw it before the batch is made (WeatherDataset, Compose), or give a number."
+                )
+    return drawn[0].conditions if drawn else weather.densest().conditions
 
 
 def _part(part: Weather, drawn: Sequence[Weather], wet: Sequence[bool], batch: Sequence[int], owner: object) -> Weather:

@@ -11,15 +11,17 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import patchy_air
-from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
+from torchweather.atmosphere.weather import CLEAR_AIR, Rain, Snow, Weather, check_intensities
 from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
-from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
+from torchweather.pipeline.conditions import with_conditions
+from torchweather.pipeline.effect import Effect, effect_from_dict
 from torchweather.pipeline.sensor_transform import WeatherTransform
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
+from torchweather.radar.conditions import radar_conditions
 from torchweather.radar.map_options import RadarMapOptions
 from torchweather.radar.power_map import (
     MapAxes,
@@ -175,7 +177,7 @@ class RadarMapWeather(WeatherTransform):
         floor = list(noise_floor_db) if isinstance(noise_floor_db, Sequence) else noise_floor_db
         stages = {
             **patchy_air(dense, ego_speed_m_per_s),
-            "path_attenuation": PathAttenuation(dense.parts, sensor, rain_model, fog_model, snow_model),
+            "path_attenuation": PathAttenuation(dense.parts or (CLEAR_AIR,), sensor, rain_model, fog_model, snow_model),
         }
         if radome_loss_db or radome_film_db:
             rates = [part.intensity for part in dense.parts if isinstance(part, Rain)]
@@ -184,9 +186,10 @@ class RadarMapWeather(WeatherTransform):
             )
         stages["map_receiver"] = MapReceiver(axes, scale, floor, looks, oversampling)
         built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
-        for effect in built:
+        conditions = radar_conditions(dense, sensor)
+        for effect in (*built, *(effect for _, effect in conditions.effects)):
             check_one_of("effects", effect.id, MAP_EFFECTS, owner=self)
-        chain = with_effects(Chain(stages), built)
+        chain = with_conditions(Chain(stages), built, conditions, self)
         for part in dense.parts:
             if clutter and clutter_share > 0 and isinstance(part, (Rain, Snow)):
                 echo = MapClutter(part, sensor, axes, clutter_share, ego_speed_m_per_s=ego_speed_m_per_s)

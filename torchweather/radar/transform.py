@@ -14,19 +14,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import patchy_air
-from torchweather.atmosphere.weather import Rain, Snow, Weather, check_intensities
+from torchweather.atmosphere.weather import CLEAR_AIR, Rain, Snow, Weather, check_intensities
 from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.lidar.clouds import FARTHEST_M
 from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
-from torchweather.pipeline.effect import Effect, effect_from_dict, with_effects
+from torchweather.pipeline.conditions import with_conditions
+from torchweather.pipeline.effect import Effect
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.pipeline.sensor_transform import WeatherTransform
 from torchweather.pipeline.tiling import is_exporting
 from torchweather.radar.attenuation import PathAttenuation, WetRadome
 from torchweather.radar.clutter import VolumeClutter
+from torchweather.radar.conditions import radar_conditions
 from torchweather.radar.options import RadarOptions
 from torchweather.radar.sensor import Radar
 from torchweather.radar.stages import POWER, RadarDetection, ToRadarPoints
@@ -79,7 +81,8 @@ class RadarAttenuation(WeatherTransform):
     """Weather on a radar's detections: each weaker by the way through it and back, and lost below the threshold.
 
     Args:
-        weather: ``Rain``, ``Fog``, ``Snow`` or a ``Mixture`` of them.
+        weather: ``Rain``, ``Fog``, ``Snow`` or a ``Mixture`` of them, with water or snow on things
+            (``torchweather.atmosphere.conditions``) or without.
         sensor: the radar; its ``floor_db`` is in the unit of the power column.
         rain_model: ``p838`` (ITU-R P.838-3, the default), ``dsd_mie`` (Mie over the rain's own drops) or ``d3_4``
             (Sander 1975 as published).
@@ -193,14 +196,17 @@ class RadarAttenuation(WeatherTransform):
             {
                 **patchy_air(weather, ego_speed_m_per_s),
                 "path_attenuation": PathAttenuation(
-                    weather.parts, sensor, rain_model or "p838", fog_model or "p840", snow_model or "dsd_mie"
+                    weather.parts or (CLEAR_AIR,),
+                    sensor,
+                    rain_model or "p838",
+                    fog_model or "p840",
+                    snow_model or "dsd_mie",
                 ),
                 "radar_detection": RadarDetection(sensor),
                 "to_radar_points": ToRadarPoints(),
             }
         )
-        built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
-        self.chain = with_effects(plain, built)
+        self.chain = with_conditions(plain, effects, radar_conditions(weather, sensor), self)
         # The cover in front of the effects, which may append echoes; the clutter behind them, which may change it.
         if radome_loss_db or radome_film_db:
             rates = [part.intensity for part in weather.parts if isinstance(part, Rain)]
@@ -208,7 +214,7 @@ class RadarAttenuation(WeatherTransform):
             if cover.default_name in self.chain.stages:
                 raise InputValueError(
                     f"{type(self).__name__}: radome_loss_db and radome_film_db are what radar.wet_radome has as "
-                    "loss_db and film_db. Give one or the other."
+                    "loss_db and film_db, and what WetWindow in the weather makes. Give one of them."
                 )
             self.chain = self.chain.insert(cover, after="path_attenuation")
         for part in weather.parts:

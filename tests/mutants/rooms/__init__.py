@@ -13,6 +13,7 @@ NAMES = (
     "lidar",
     "radar",
     "compose",
+    "conditions",
     "io",
     "augment",
     "metrics",

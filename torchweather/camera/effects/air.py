@@ -301,6 +301,7 @@ class CameraWetSurface(Effect):
 
     ``I (1 - darkening w) (1 - mirror w R) + mirror w R I'`` with w the upward part of the normal, 0 on what stands
     upright, R Fresnel's reflectance of water at the angle of incidence, and I' the picture in the mirrored direction.
+    Where the state says how wet each surface is (``WetRoad`` in the weather), w is multiplied by that.
 
     Args:
         darkening: share of the light that a wet level surface loses, 0 to 1.
@@ -326,7 +327,7 @@ class CameraWetSurface(Effect):
     }
     needs: ClassVar[tuple[str, ...]] = ("camera", "normal")
     reads: ClassVar[tuple[str, ...]] = (
-        *("scene.intrinsics", "scene.normal"),
+        *("scene.damp", "scene.intrinsics", "scene.normal", "scene.pool"),
         "air.lamp_excess",
         "image.signal",
         *("receiver.camera", "receiver.cfa_index"),
@@ -345,7 +346,9 @@ class CameraWetSurface(Effect):
         direction = direction / torch.linalg.vector_norm(direction, dim=1, keepdim=True)
         cosine = -(direction * normal).sum(1, keepdim=True)
         wet = upright[:, 2:].clamp_min(0.0)
-        share = self.value("mirror", state.image.signal) * wet * (1.0 - transmittance_into_water(cosine))
+        smooth = wet if state.scene.pool is None else wet * state.scene.pool
+        wet = wet if state.scene.damp is None else wet * state.scene.damp
+        share = self.value("mirror", state.image.signal) * smooth * (1.0 - transmittance_into_water(cosine))
         own = state.image.signal * (1.0 - self.value("darkening", state.image.signal) * wet)
         lit = state
         if state.air.lamp_excess is not None:  # a lamp's mirror image is as bright as the lamp

@@ -39,6 +39,11 @@ def conditions_of(source: SuiteRecipe | TransformRecipe) -> list[Condition]:
     if isinstance(source, SuiteRecipe):
         return source.conditions()
     weather = source.build_weather()
+    if not weather.parts:
+        raise InputValueError(
+            f"robustness: {source.name} has water or snow on things alone; a condition needs a rate or a visibility. "
+            "Add rain, fog or snow to its weather, or take a suite."
+        )
     part = weather.parts[0]
     if weather.random or torch.as_tensor(part.intensity).numel() != 1:
         raise InputValueError(

@@ -182,7 +182,8 @@ class LidarWetTarget(Effect):
     ``X (1 - share w)``, w = 1 on an upward surface at grazing incidence and where nothing is known. With the upward
     component u of the normal, w falls as ``(1 + u) / 2``: water lies on top and leaves the underside dry. With the
     angle of incidence i it is ``1 - T(i)^2 / (2 T(0)^2)``: the film lets light in and out with Fresnel's transmittance
-    T, and mirrors the rest away.
+    T, and mirrors the rest away. Where the state says how wet each surface is (``WetRoad`` in the weather), w is
+    multiplied by that, and the share that lies under smooth water keeps ``(1 - share) T(i)^2 / T(0)^2``.
 
     Args:
         share: of the signal that a wet upward surface loses, 0 to 1.
@@ -200,7 +201,7 @@ class LidarWetTarget(Effect):
     }
     each_beam_alone: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = (
-        *("scene.clear_range_m", "scene.cos_incidence", "scene.up"),
+        *("scene.clear_range_m", "scene.cos_incidence", "scene.damp", "scene.pool", "scene.up"),
         *("returns.kind", "returns.signal"),
     )
     writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
@@ -214,7 +215,12 @@ class LidarWetTarget(Effect):
             facing = torch.ones_like(state.scene.cos_incidence)
             through = transmittance_into_water(state.scene.cos_incidence) / transmittance_into_water(facing)
             wet = wet * (1.0 - WET_SHARE_FACING * through.square())
+        if state.scene.damp is not None:
+            wet = wet * state.scene.damp
         gain = 1.0 - self.value("share", wet) * wet
+        if state.scene.pool is not None and state.scene.cos_incidence is not None:
+            drowned = (1.0 - self.value("share", wet)) * through.square()
+            gain = torch.lerp(gain, drowned, state.scene.pool)
         return {
             "signal": torch.where(
                 state.returns.kind == OBJECT, state.returns.signal * gain[..., None], state.returns.signal

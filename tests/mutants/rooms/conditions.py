@@ -1,0 +1,59 @@
+"""Breaks of water and snow on things."""
+
+from __future__ import annotations
+
+from tests.mutants.mutant import Mutant
+
+CONDITIONS = "tests/atmosphere/test_conditions.py"
+WINDOW_FILM = "torchweather.physics.window_film"
+
+MUTANTS = (
+    Mutant(
+        "road_slope_as_a_ratio",
+        "the factor of the depth on the road goes with the slope in per cent",
+        "torchweather.physics.road_water",
+        "flow / slope**of_slope",
+        "flow / (slope / 100.0) ** of_slope",
+        ("tests/physics/test_road_water.py::test_depth_is_that_of_the_law_in_inches",),
+    ),
+    Mutant(
+        "rain_on_a_driven_window_without_its_speed",
+        "an upright window is hit by the rain that it drives into",
+        WINDOW_FILM,
+        "rain * level + MM_PER_H * water * speed * torch.sin(tilt)",
+        "rain * level + MM_PER_H * water * speed * torch.cos(tilt)",
+        ("tests/physics/test_window_film.py::test_rain_on_a_driven_plane_is_that_of_drops",),
+    ),
+    Mutant(
+        "layers_in_the_wrong_order",
+        "the matrix of a layer multiplies those in front of it from the right",
+        WINDOW_FILM,
+        "a * cosine + b * sine * m,\n            a * sine / m + b * cosine,",
+        "a * cosine + c * sine / m,\n            a * sine / m + b * cosine,",
+        ("tests/physics/test_window_film.py::test_layers_are_waves_that_go_to_and_fro",),
+    ),
+    Mutant(
+        "water_on_walls",
+        "the road is level ground: walls and roofs are none",
+        "torchweather.camera.surfaces",
+        "return (near & level & ",
+        "return (",
+        (f"{CONDITIONS}::test_only_level_ground_is_road",),
+    ),
+    Mutant(
+        "puddles_of_each_sensor_alone",
+        "puddles belong to the road: all sensors of a sample see the same",
+        "torchweather.lidar.surfaces",
+        "of_the_air: ClassVar[bool] = True",
+        "of_the_air: ClassVar[bool] = False",
+        (f"{CONDITIONS}::test_one_condition_for_all_sensors_of_a_sample",),
+    ),
+    Mutant(
+        "an_effect_twice_in_silence",
+        "an effect that is given and follows from a condition is refused",
+        "torchweather.pipeline.conditions",
+        "if effect.id in ids:",
+        "if effect.id in ():",
+        (f"{CONDITIONS}::test_an_effect_given_twice_names_both",),
+    ),
+)

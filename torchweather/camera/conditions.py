@@ -1,0 +1,57 @@
+"""What a camera makes of water and snow on things: effects of the catalogue, with values from the conditions' laws."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from torchweather.atmosphere.conditions import WetRoad, WetWindow, condition_of
+from torchweather.atmosphere.conditions.wet_road import water_on_road_mm
+from torchweather.atmosphere.conditions.wet_window import drops_on_window
+from torchweather.atmosphere.weather import Weather
+from torchweather.camera.effects.air import CameraWetSurface
+from torchweather.camera.effects.optics import CameraAdherentDrops
+from torchweather.camera.surfaces import CameraRoadWater, CameraSurfaceNormals
+from torchweather.physics.road_water import wet_albedo
+from torchweather.pipeline.conditions import OfConditions
+from torchweather.pipeline.effect import Effect
+from torchweather.pipeline.stage import Stage
+
+__all__ = ["camera_conditions"]
+
+WINDSCREEN_DEG = 30.0  # of a car's windscreen from the level
+
+
+def camera_conditions(weather: Weather) -> OfConditions:
+    """Effects of a camera, and the stages that these need, for the conditions of a weather.
+
+    Args:
+        weather: with numbers; a condition of amount 0 makes no effect.
+
+    Example:
+        >>> from torchweather.atmosphere.weather import Mixture, Rain
+        >>> [effect.id for _, effect in camera_conditions(Mixture(Rain(10), WetRoad(), WetWindow())).effects]
+        ['camera.wet_surface', 'camera.adherent_drops']
+    """
+    effects: list[tuple[Weather, Effect]] = []
+    surfaces: dict[str, Stage] = {}
+    road, window = condition_of(weather, WetRoad), condition_of(weather, WetWindow)
+    if road is not None and not road.is_nothing:
+        surfaces["surface_normals"] = CameraSurfaceNormals()
+        water = water_on_road_mm(road, weather)
+        surfaces["road_water"] = CameraRoadWater(water, number(road.texture_mm), number(road.puddles))
+        darkening = 1.0 - float(wet_albedo(number(road.albedo))) / number(road.albedo)
+        effects.append((road, CameraWetSurface(darkening=darkening, mirror=1.0)))
+    if window is not None and not window.is_nothing:
+        cover = drops_on_window(window, weather, inclination_deg=WINDSCREEN_DEG)
+        effects.append((window, CameraAdherentDrops(cover=one_or_each(cover))))
+    return OfConditions(tuple(effects), surfaces)
+
+
+def number(value: object) -> float:
+    """A field of a condition that has been drawn."""
+    return float(value)  # type: ignore[arg-type]
+
+
+def one_or_each(values: Tensor) -> Tensor:
+    """Values ``(1,)`` as one number, ``(B,)`` as they are."""
+    return values[0] if values.numel() == 1 else values

@@ -1,0 +1,112 @@
+"""Surfaces that a LiDAR sees: the ground under it, and the water on the road."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchweather.atmosphere.conditions.ground_noise import GROUND_VARIATE, ground_noise, uneven
+from torchweather.core.arguments import check_arguments
+from torchweather.core.errors import InputValueError, check_between
+from torchweather.core.random import Variate
+from torchweather.lidar.state import LidarState
+from torchweather.lidar.sweep.ground import fit_ground
+from torchweather.physics.road_water import TEXTURE_MM, damp_share, drowned_share
+from torchweather.pipeline.registry import register
+from torchweather.pipeline.stage import Stage
+from torchweather.pipeline.tiling import is_exporting
+
+__all__ = ["LidarRoadWater", "ground_heights_m"]
+
+# A return is of the road where it lies within this height of the ground: a kerb, and what the plane is off by.
+ROAD_HEIGHT_M, ROAD_HEIGHT_PER_M = 0.15, 0.005
+
+
+def ground_heights_m(state: LidarState, owner: object) -> Tensor:
+    """Height of each return over the ground that is fitted to its cloud, ``(B, N)``, metres; NaN without return.
+
+    Raises:
+        InputValueError: a cloud shows no ground, or a graph is being traced.
+    """
+    name = type(owner).__name__
+    if is_exporting():
+        raise InputValueError(
+            f"{name}: no graph can hold it, as it fits the ground to each cloud. Leave WetRoad and SnowCover out of "
+            "the weather that is exported."
+        )
+    points = state.scene.points_in.detach()[..., :3].double().cpu().numpy()
+    heights = []
+    for number, cloud in enumerate(points):
+        plane = fit_ground(cloud)
+        if plane is None:
+            raise InputValueError(
+                f"{name}: sample {number} shows no ground: expected a plane through the lowest returns, 0.4 to 4 m "
+                "under the sensor; got none. Pass the whole sweep in the sensor's frame, or leave WetRoad and "
+                "SnowCover out of its weather."
+            )
+        heights.append(torch.from_numpy(plane.height_above(cloud)))
+    height_m = torch.stack(heights).to(state.scene.clear_range_m)
+    return torch.where(state.scene.clear_range_m > 0, height_m, torch.nan)
+
+
+def ground_share(state: LidarState, height_m: Tensor) -> Tensor:
+    """1 where a return is of the road, else 0, ``(B, N)``."""
+    near = height_m.abs() <= ROAD_HEIGHT_M + ROAD_HEIGHT_PER_M * state.scene.clear_range_m
+    return near.to(height_m)
+
+
+@register
+class LidarRoadWater(Stage):
+    """Water on the road: which share of what each beam meets is damp, and which lies under smooth water.
+
+    The road is what lies near a plane that is fitted to the lowest returns of each cloud. Its normals are taken to
+    point up where none are known.
+
+    Args:
+        water_mm: mean depth, 0 to 10 mm, a number or one for each sample.
+        texture_mm: mean texture depth of the road.
+        log_std: spread of the logarithm of the depth over the road, 0 to 2.
+    """
+
+    default_name: ClassVar[str] = "road_water"
+    of_the_air: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = (*("scene.clear_range_m", "scene.cos_incidence", "scene.points_in", "scene.up"),)
+    writes: ClassVar[tuple[str, ...]] = ("scene.cos_incidence", "scene.damp", "scene.pool", "scene.up")
+    water_mm: Tensor
+
+    def __init__(self, water_mm: Any, texture_mm: float = 0.7, log_std: float = 0.0) -> None:
+        check_arguments("LidarRoadWater(texture_mm: float, log_std: float)", texture_mm, log_std)
+        super().__init__()
+        self.register_buffer("water_mm", torch.as_tensor(water_mm, dtype=torch.float32).reshape(-1))
+        check_between("water_mm", self.water_mm, 0.0, 10.0, unit="mm", owner=self)
+        check_between("texture_mm", texture_mm, *TEXTURE_MM, unit="mm", owner=self)
+        check_between("log_std", log_std, 0.0, 2.0, owner=self)
+        self.texture_mm, self.log_std = float(texture_mm), float(log_std)
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {"water_mm": self.water_mm.tolist(), "texture_mm": self.texture_mm, "log_std": self.log_std}
+
+    def variates(self) -> tuple[Variate, ...]:
+        """Where the water lies deeper; none where it is even."""
+        return (GROUND_VARIATE,) if self.log_std else ()
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with the water."""
+        range_m = state.scene.clear_range_m
+        height_m = ground_heights_m(state, self)
+        road = ground_share(state, height_m)
+        water = self.water_mm.to(road).view(-1, 1)
+        x_m, y_m, z_m = state.scene.points_in[..., :3].unbind(-1)
+        if self.log_std:
+            water = water * uneven(ground_noise(noise["ground"], x_m, y_m), self.log_std)
+        up, cosine = state.scene.up, state.scene.cos_incidence
+        return state.changed(
+            damp=road * damp_share(water),
+            pool=road * drowned_share(water, self.texture_mm),
+            up=road if up is None else up,
+            cos_incidence=z_m.abs() / range_m.clamp_min(1e-3) if cosine is None else cosine,
+        )
