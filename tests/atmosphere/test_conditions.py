@@ -12,7 +12,7 @@ from torch import Tensor
 
 from tests.atmosphere.condition_scene import CAMERA, LIDAR, RADAR, ROAD_INTENSITY, H, W, camera_in, cloud, frame
 from tests.contract.table import map_weather
-from torchweather.atmosphere.conditions import CONDITIONS, WetRoad, WetWindow
+from torchweather.atmosphere.conditions import CONDITIONS, SnowCover, WetRoad, WetWindow
 from torchweather.atmosphere.conditions.ground_noise import ground_noise, uneven
 from torchweather.atmosphere.conditions.wet_road import water_on_road_mm
 from torchweather.atmosphere.conditions.wet_window import drops_on_window, film_on_window_mm
@@ -21,8 +21,10 @@ from torchweather.camera.depth import FlatGround
 from torchweather.compose import Compose
 from torchweather.core.distributions import Uniform
 from torchweather.core.errors import TorchweatherWarning
+from torchweather.lidar.surfaces import grid_normals
 from torchweather.physics import water_refractive_index
 from torchweather.physics.road_water import road_water_mm
+from torchweather.physics.snow_pack import snow_pack_albedo
 from torchweather.physics.window_film import drop_cover, film_thickness_mm, microwave_film_loss_db
 from torchweather.recipes import load_recipe
 from torchweather.sensors import Lidar
@@ -241,6 +243,28 @@ def test_a_condition_drawn_for_a_batch_is_refused_and_for_a_sample_is_drawn() ->
     assert torch.equal(rarely(frame(), seed=1), frame())
 
 
+@pytest.mark.parametrize("given", [True, False])
+def test_snow_whitens_the_ground_in_the_light_of_the_sky(given: bool) -> None:
+    image = torch.full((1, H, W), 0.2)
+    normal = torch.zeros(3, H, W)
+    normal[2, H // 2 :] = 1.0
+    transform = camera_in(SnowCover(depth_mm=5.0, uneven=0.0))
+    after = transform(image, normal=normal if given else None, seed=1)
+    share = 1 - math.exp(-1.0)
+    white = float(snow_pack_albedo(550.0)) * 0.7  # airlight of the scene
+    assert torch.allclose(after[0, -12:], torch.full((12, W), 0.2 * (1 - share) + white * share), atol=1 / 4095)
+    assert torch.equal(after[0, : H // 2 - 3], image[0, : H // 2 - 3])
+
+
+def test_snow_leaves_walls_and_takes_the_light_of_the_frame_s_own_sky() -> None:
+    image = torch.full((1, H, W), 0.2)
+    wall = BayerWeather(SnowCover(depth_mm=50.0), CAMERA, depth=20.0, airlight=0.7)
+    assert torch.equal(wall(image, seed=1), image)
+    image[:, : H // 2] = 0.5  # an even sky
+    own = BayerWeather(SnowCover(depth_mm=500.0, uneven=0.0), CAMERA, depth=FlatGround())(image, seed=1)
+    assert float(own[0, -8:].mean()) == pytest.approx(float(snow_pack_albedo(550.0)) * 0.5, abs=2 / 4095)
+
+
 # ---- LiDAR and radar -----------------------------------------------------------------------------------------------
 
 
@@ -261,6 +285,36 @@ def test_wet_road_returns_less_and_a_wall_as_before(wavelength_nm: float) -> Non
     damp, pool = (1 - math.exp(-water / scale) for scale in (0.05, 0.7))
     gain = (1 - pool) * (1 - (1 - left) * damp * (1 - 0.5 * through)) + pool * left * through
     assert float(after[at, 3]) == pytest.approx(ROAD_INTENSITY * gain, rel=0.01)
+
+
+@pytest.mark.parametrize("wavelength_nm", [905.0, 1550.0])
+def test_snow_on_the_road_returns_by_its_own_reflectivity(wavelength_nm: float) -> None:
+    points = cloud()
+    sensor = Lidar(wavelength_nm=wavelength_nm, intensity_unit="reflectivity", range_at_10_percent_m=1000.0)
+    after = LidarWeather(SnowCover(depth_mm=200.0, uneven=0.0), sensor)(points, seed=1)
+    assert isinstance(after, Tensor)
+    wall = points[:, 0] == 15.0
+    assert torch.equal(after[wall], points[wall])
+    cosine = 1.7 / points[~wall, :3].norm(dim=1)
+    assert torch.allclose(after[~wall, 3], float(snow_pack_albedo(wavelength_nm)) * cosine, rtol=0.01)
+
+
+def test_normals_of_an_organised_cloud_are_those_of_its_surfaces() -> None:
+    """A room: a floor, and walls of a cylinder, seen by a scan."""
+    elevation, azimuth = torch.meshgrid(torch.linspace(-0.6, 0.1, 24), torch.linspace(-3.1, 3.1, 90), indexing="ij")
+    unit = torch.stack([elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()], -1)
+    to_wall = 6.0 / elevation.cos()
+    to_floor = torch.where(elevation < 0, -1.7 / elevation.sin(), torch.inf)
+    range_m = torch.minimum(to_wall, to_floor)[None]
+    range_m[0, 3, 7] = 0.0  # no return
+    normal = grid_normals(unit[None] * range_m[..., None], range_m)[0]
+    floor = (to_floor < to_wall)[1:-1, 1:-1]
+    inner = normal[1:-1, 1:-1]
+    assert torch.equal(normal[3, 7], torch.zeros(3))
+    known = range_m[0, 1:-1, 1:-1] > 0
+    edge = floor ^ floor.roll(1, 0) | (floor ^ floor.roll(-1, 0))
+    assert bool((inner[..., 2][floor & known & ~edge] > 0.999).all())
+    assert bool((inner[..., 2][~floor & known & ~edge].abs() < 0.01).all())
 
 
 def test_a_cloud_without_ground_says_what_to_pass() -> None:

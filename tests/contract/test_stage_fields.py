@@ -18,7 +18,7 @@ from tests.contract.table import CAMERA, LIDAR, TABLE, H, W, cloud, frame, map_w
 from tests.contract.traced import Trace, traced
 from tests.lidar.effects import effect_scene
 from tests.radar.effects import radar_effect_scene
-from torchweather.atmosphere.conditions import WetRoad, WetWindow
+from torchweather.atmosphere.conditions import SnowCover, WetRoad, WetWindow
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.camera.depth import SceneDepth
 from torchweather.lidar.effects.empirical import AXES, KINDS, Empirical
@@ -92,12 +92,21 @@ def radars() -> None:
 
 def conditions() -> None:
     """Water on the road and the windows, normals from the depth and from the call."""
-    wet = Mixture(Rain(20.0), WetRoad(puddles=0.5), WetWindow(speed_m_per_s=10.0))
+    wet = Mixture(Rain(20.0), WetRoad(puddles=0.5), WetWindow(speed_m_per_s=10.0), SnowCover(depth_mm=5.0))
     image = condition_scene.frame((2,))
     transform = condition_scene.camera_in(wet)
     ran(transform, image)
     ran(transform, image, normal=torch.zeros(3, *image.shape[-2:]))
-    ran(LidarWeather(wet, condition_scene.LIDAR), condition_scene.cloud())
+    image[..., : image.shape[-2] // 2, :] = 0.7
+    depth_m = torch.full(image.shape[1:], 30.0)
+    depth_m[:, : image.shape[-2] // 2] = math.inf
+    for scene in (depth_m, SceneDepth(depth_m, sky=depth_m.isinf().float())):
+        ran(BayerWeather(wet, condition_scene.CAMERA), image, depth=scene)
+    points = condition_scene.cloud()
+    ran(LidarWeather(wet, condition_scene.LIDAR), points)
+    rings = replace(condition_scene.LIDAR, elevations_deg=tuple(range(-8, 8)), columns=len(points) // 16)
+    ran(LidarWeather(wet, rings), points)
+    ran(LidarWeather(WetRoad(water_mm=1.0), condition_scene.LIDAR), points)
 
 
 @pytest.fixture(scope="module")

@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from torch import Tensor
 
-from torchweather.atmosphere.conditions import WetRoad, WetWindow, condition_of
+from torchweather.atmosphere.conditions import SnowCover, WetRoad, WetWindow, condition_of
 from torchweather.atmosphere.conditions.wet_road import water_on_road_mm
 from torchweather.atmosphere.conditions.wet_window import drops_on_window
 from torchweather.atmosphere.weather import Weather
 from torchweather.camera.effects.air import CameraWetSurface
 from torchweather.camera.effects.optics import CameraAdherentDrops
-from torchweather.camera.surfaces import CameraRoadWater, CameraSurfaceNormals
+from torchweather.camera.effects.surfaces import CameraSnowCover
+from torchweather.camera.surfaces import CameraRoadWater, CameraSkyLight, CameraSurfaceNormals
 from torchweather.physics.road_water import wet_albedo
+from torchweather.physics.snow_pack import snow_pack_albedo
 from torchweather.pipeline.conditions import OfConditions
 from torchweather.pipeline.effect import Effect
 from torchweather.pipeline.stage import Stage
 
 __all__ = ["camera_conditions"]
 
+GREEN_NM = 550.0
 WINDSCREEN_DEG = 30.0  # of a car's windscreen from the level
 
 
-def camera_conditions(weather: Weather) -> OfConditions:
+def camera_conditions(weather: Weather, airlight: Any = None) -> OfConditions:
     """Effects of a camera, and the stages that these need, for the conditions of a weather.
 
     Args:
         weather: with numbers; a condition of amount 0 makes no effect.
+        airlight: signals of the sky, or how to estimate them, as `BayerWeather`.
 
     Example:
         >>> from torchweather.atmosphere.weather import Mixture, Rain
@@ -41,6 +47,13 @@ def camera_conditions(weather: Weather) -> OfConditions:
         surfaces["road_water"] = CameraRoadWater(water, number(road.texture_mm), number(road.puddles))
         darkening = 1.0 - float(wet_albedo(number(road.albedo))) / number(road.albedo)
         effects.append((road, CameraWetSurface(darkening=darkening, mirror=1.0)))
+    snow = condition_of(weather, SnowCover)
+    if snow is not None and not snow.is_nothing:
+        surfaces["surface_normals"] = CameraSurfaceNormals()
+        surfaces["sky_light"] = CameraSkyLight(airlight)
+        albedo = float(snow_pack_albedo(GREEN_NM, number(snow.grain_um)))
+        values = {"depth_mm": number(snow.depth_mm), "albedo": albedo, "uneven": number(snow.uneven)}
+        effects.append((snow, CameraSnowCover(**values)))
     if window is not None and not window.is_nothing:
         cover = drops_on_window(window, weather, inclination_deg=WINDSCREEN_DEG)
         effects.append((window, CameraAdherentDrops(cover=one_or_each(cover))))

@@ -66,6 +66,7 @@ class CameraAir:
         patches: where about the vehicle the air is dense; ``None`` is everywhere alike.
         lamp_excess: ``(B, C, H, W)`` light of lamps beyond what the saturated frame shows of them; ``None`` by day.
         lamp_light: light of lamps on fog and particles; ``None`` by day.
+        skylight: ``(B, 3)`` signal of the sky that lights the scene, per colour; ``None`` where not known.
     """
 
     airlight: Tensor | None = None
@@ -80,6 +81,7 @@ class CameraAir:
     patches: PatchField | None = None
     lamp_excess: Tensor | None = None
     lamp_light: LampLight | None = None
+    skylight: Tensor | None = None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.conditions.ground_noise import GROUND_VARIATE, ground_noise, uneven
+from torchweather.camera.airlight import airlight_argument, given_or_estimated
 from torchweather.camera.fog import FARTHEST_M, rays
 from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
@@ -18,10 +19,18 @@ from torchweather.physics.road_water import TEXTURE_MM, damp_share, drowned_shar
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
 
-__all__ = ["CameraRoadWater", "CameraSurfaceNormals", "ground_share", "places", "surface_normals"]
+__all__ = [
+    "CameraRoadWater",
+    "CameraSkyLight",
+    "CameraSurfaceNormals",
+    "footprint_of",
+    "ground_share",
+    "places",
+    "surface_normals",
+]
 
 # A surface is road where it is level and lies within this height of the ground: a kerb, and what depth is off by.
-ROAD_HEIGHT_M, ROAD_HEIGHT_PER_M, ROAD_UP = 0.15, 0.02, 0.8
+ROAD_HEIGHT_M, ROAD_HEIGHT_PER_M, ROAD_UP, ROAD_UP_RAMP = 0.15, 0.02, 0.75, 0.1
 
 
 def surface_normals(state: CameraState) -> Tensor:
@@ -64,12 +73,19 @@ def places(state: CameraState) -> tuple[Tensor, Tensor, Tensor]:
     return x_m, y_m, rise_m + state.receiver.camera.height_m
 
 
+def footprint_of(state: CameraState, x_m: Tensor) -> Tensor:
+    """Length of a pixel along the ground at a place ahead, ``(B, 1, H, W)``, metres."""
+    assert state.receiver.camera is not None
+    return x_m.square() / (state.receiver.camera.height_m * state.receiver.camera.fy)
+
+
 def ground_share(state: CameraState, x_m: Tensor, height_m: Tensor) -> Tensor:
-    """1 where a surface is the road, else 0: level, and near the ground, ``(B, 1, H, W)``."""
+    """Share of road of each pixel, ``(B, 1, H, W)``: 1 where a surface is level and near the ground."""
     assert state.scene.normal is not None
-    near = height_m.abs() <= ROAD_HEIGHT_M + ROAD_HEIGHT_PER_M * x_m
-    level = state.scene.normal[:, 2:] >= ROAD_UP
-    return (near & level & (state.scene.depth_m < FARTHEST_M)).to(state.image.signal)
+    most_m = ROAD_HEIGHT_M + ROAD_HEIGHT_PER_M * x_m
+    near = (2.0 - height_m.abs() / most_m).clamp(0.0, 1.0)
+    level = ((state.scene.normal[:, 2:] - ROAD_UP) / ROAD_UP_RAMP).clamp(0.0, 1.0).to(near)
+    return torch.where(state.scene.depth_m < FARTHEST_M, near * level, 0.0)
 
 
 @register
@@ -90,6 +106,34 @@ class CameraSurfaceNormals(Stage):
     def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
         """The state with normals."""
         return state if state.scene.normal is not None else state.changed(normal=surface_normals(state))
+
+
+@register
+class CameraSkyLight(Stage):
+    """Light of the sky on the scene, for what is to turn white in it.
+
+    Args:
+        airlight: signals (red, green, blue) of the sky, or how to estimate them from the frame, as `BayerWeather`.
+    """
+
+    default_name: ClassVar[str] = "sky_light"
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.depth_m", "scene.sine_elevation", "scene.sky"),
+        *("image.signal", "receiver.cfa_index"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("air.skylight",)
+
+    def __init__(self, airlight: Any = None) -> None:
+        super().__init__()
+        self.airlight = airlight_argument(airlight, owner=self)
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {"airlight": list(self.airlight) if isinstance(self.airlight, tuple) else self.airlight}
+
+    def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
+        """The state with the light."""
+        return state.changed(skylight=given_or_estimated(self.airlight, state, self))
 
 
 @register
@@ -134,8 +178,7 @@ class CameraRoadWater(Stage):
         road = ground_share(state, x_m, height_m)
         water = self.water_mm.to(road).view(-1, 1, 1, 1)
         if self.log_std:
-            assert state.receiver.camera is not None
-            footprint_m = x_m.square() / (state.receiver.camera.height_m * state.receiver.camera.fy)
-            water = water * uneven(ground_noise(noise["ground"], x_m, y_m, footprint_m), self.log_std)
+            field = ground_noise(noise["ground"], x_m, y_m, footprint_of(state, x_m))
+            water = water * uneven(field, self.log_std)
         water = water.expand(state.batch, -1, -1, -1)
         return state.changed(damp=road * damp_share(water), pool=road * drowned_share(water, self.texture_mm))

@@ -6,15 +6,17 @@ import math
 
 import torch
 
-from torchweather.atmosphere.conditions import WetRoad, WetWindow, condition_of
+from torchweather.atmosphere.conditions import SnowCover, WetRoad, WetWindow, condition_of
 from torchweather.atmosphere.conditions.wet_road import water_on_road_mm
 from torchweather.atmosphere.conditions.wet_window import drops_on_window, film_on_window_mm
 from torchweather.atmosphere.weather import Weather
 from torchweather.lidar.effects.air import LidarWetTarget, LidarWindowLoss
+from torchweather.lidar.effects.surfaces import LidarSnowCover
 from torchweather.lidar.sensor import Lidar
-from torchweather.lidar.surfaces import LidarRoadWater
+from torchweather.lidar.surfaces import LidarRoadWater, LidarSurfaceNormals
 from torchweather.physics.refractive_index import water_refractive_index
 from torchweather.physics.road_water import wet_albedo
+from torchweather.physics.snow_pack import snow_pack_albedo
 from torchweather.physics.window_film import optical_film_transmittance
 from torchweather.pipeline.conditions import OfConditions
 from torchweather.pipeline.effect import Effect
@@ -43,6 +45,16 @@ def lidar_conditions(weather: Weather, sensor: Lidar) -> OfConditions:
     effects: list[tuple[Weather, Effect]] = []
     surfaces: dict[str, Stage] = {}
     road, window = condition_of(weather, WetRoad), condition_of(weather, WetWindow)
+    snow = condition_of(weather, SnowCover)
+    if snow is not None and not snow.is_nothing:
+        surfaces["surface_normals"] = LidarSurfaceNormals()
+        grain = float(snow.grain_um)  # type: ignore[arg-type]
+        values = {
+            "depth_mm": float(snow.depth_mm),  # type: ignore[arg-type]
+            "reflectivity": float(snow_pack_albedo(sensor.wavelength_nm, grain)),
+            "uneven": float(snow.uneven),  # type: ignore[arg-type]
+        }
+        effects.append((snow, LidarSnowCover(**values)))
     if road is not None and not road.is_nothing:
         water = water_on_road_mm(road, weather)
         texture, albedo = float(road.texture_mm), float(road.albedo)  # type: ignore[arg-type]

@@ -19,7 +19,7 @@ from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
 from torchweather.pipeline.tiling import is_exporting
 
-__all__ = ["LidarRoadWater", "ground_heights_m"]
+__all__ = ["LidarRoadWater", "LidarSurfaceNormals", "ground_heights_m"]
 
 # A return is of the road where it lies within this height of the ground: a kerb, and what the plane is off by.
 ROAD_HEIGHT_M, ROAD_HEIGHT_PER_M = 0.15, 0.005
@@ -56,6 +56,78 @@ def ground_share(state: LidarState, height_m: Tensor) -> Tensor:
     """1 where a return is of the road, else 0, ``(B, N)``."""
     near = height_m.abs() <= ROAD_HEIGHT_M + ROAD_HEIGHT_PER_M * state.scene.clear_range_m
     return near.to(height_m)
+
+
+@register
+class LidarSurfaceNormals(Stage):
+    """Upward part of the normals, and the angles of incidence: of an organised cloud from its neighbours, else of the
+    ground alone.
+
+    In a cloud that is not organised the ground, a plane fitted to its lowest returns, faces up, and everything else
+    counts as upright.
+    """
+
+    default_name: ClassVar[str] = "surface_normals"
+    reads: ClassVar[tuple[str, ...]] = (
+        *("scene.clear_range_m", "scene.cos_incidence", "scene.grid", "scene.points_in", "scene.up"),
+    )
+    writes: ClassVar[tuple[str, ...]] = ("scene.cos_incidence", "scene.up")
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments: none."""
+        return {}
+
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state with what was not known."""
+        range_m = state.scene.clear_range_m
+        place = state.scene.points_in[..., :3]
+        if state.scene.up is not None and state.scene.cos_incidence is not None:
+            return state
+        if state.scene.grid is not None:
+            normal = grid_normals(place.unflatten(1, state.scene.grid), range_m.unflatten(1, state.scene.grid))
+            normal = normal.flatten(1, 2)
+            up = normal[..., 2]
+            cosine = (normal * place).sum(-1).abs() / range_m.clamp_min(1e-3)
+        else:
+            up = ground_share(state, ground_heights_m(state, self))
+            cosine = place[..., 2].abs() / range_m.clamp_min(1e-3)
+        return state.changed(
+            up=up if state.scene.up is None else state.scene.up,
+            cos_incidence=cosine if state.scene.cos_incidence is None else state.scene.cos_incidence,
+        )
+
+
+def grid_normals(place: Tensor, range_m: Tensor) -> Tensor:
+    """Unit normals of an organised cloud, towards the sensor, ``(B, rows, columns, 3)``; 0 where there is no surface.
+
+    Along rows and columns the difference to the neighbour that is nearer in range; columns close to a ring.
+    """
+
+    def slope(axis: int, ring: bool) -> tuple[Tensor, Tensor]:
+        """Difference along an axis, and whether there is one."""
+        steps, known = [], []
+        for way in (-1, 1):
+            there = range_m.roll(way, axis) > 0
+            if not ring:
+                index = torch.arange(range_m.shape[axis], device=range_m.device)
+                edge = index == (range_m.shape[axis] - 1 if way < 0 else 0)
+                there = there & ~(edge.view(-1, 1) if axis == 1 else edge)
+            steps.append((place.roll(way, axis) - place) * -way)
+            known.append(there)
+        apart = [
+            torch.where(there, (range_m.roll(way, axis) - range_m).abs(), torch.inf)
+            for way, there in zip((-1, 1), known, strict=True)
+        ]
+        first = apart[0] <= apart[1]
+        return torch.where(first[..., None], steps[0], steps[1]), known[0] | known[1]
+
+    (across, one), (down, other) = slope(2, True), slope(1, False)
+    normal = torch.linalg.cross(across, down, dim=-1)
+    length = torch.linalg.vector_norm(normal, dim=-1, keepdim=True)
+    normal = torch.where(length > 0, normal / length.clamp_min(1e-12), 0.0)
+    away = (normal * place).sum(-1, keepdim=True) > 0
+    normal = torch.where(away, -normal, normal)
+    return torch.where(((range_m > 0) & one & other)[..., None], normal, 0.0)
 
 
 @register

@@ -104,6 +104,7 @@ class Effect(Stage):
         scatters: whether it makes whole frames differ from one another, so that a few of them may be off by more than
             many are on average.
         each_frame_anew: whether its noise is another one in each frame of a sequence.
+        searched: whether the gap workflow looks for it; what water and snow on things do is asked for by the weather.
         unmodelled: quantities that it changes by an amount that no parameter gives, such as the brightness of a
             structure; names are those of the statistics of the gap workflow.
 
@@ -136,6 +137,7 @@ class Effect(Stage):
     cuts: ClassVar[bool] = False
     scatters: ClassVar[bool] = False
     each_frame_anew: ClassVar[bool] = False
+    searched: ClassVar[bool] = True
     unmodelled: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **more: Any) -> None:

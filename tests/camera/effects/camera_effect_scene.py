@@ -38,6 +38,7 @@ ACTIVE: dict[str, dict[str, float]] = {
     "camera.streak_contrast": {"factor": 2.0},
     "camera.particle_count": {"factor": 2.0, "depth_max_m": 6.0},
     "camera.rolling_shutter": {"row_time_s": 2.5e-4},
+    "camera.snow_cover": {"depth_mm": 4.0, "albedo": 0.875, "uneven": 0.5},
 }
 
 

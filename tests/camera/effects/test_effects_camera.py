@@ -63,10 +63,15 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
     "camera.streak_contrast": {"factor": 1.0},
     "camera.particle_count": {"factor": 1.0, "depth_max_m": inf},
     "camera.rolling_shutter": {"row_time_s": 0.0},
+    "camera.snow_cover": {"depth_mm": 0.0, "albedo": None, "uneven": None},
 }
 every_effect = pytest.mark.parametrize("name", CAMERA_EFFECTS)
 # Normals are no input of a graph, and its footprints have no room for longer streaks.
-NOT_IN_A_GRAPH = {"camera.wet_surface": "wanted a state with normal", "camera.rolling_shutter": "leave it out"}
+NOT_IN_A_GRAPH = {
+    "camera.wet_surface": "wanted a state with normal",
+    "camera.rolling_shutter": "leave it out",
+    "camera.snow_cover": "wanted a state with normal",
+}
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +149,7 @@ def test_effects_stand_in_the_order_of_the_light_whatever_the_weather() -> None:
         "wet_surface",
         "patchy_fog",
         "height_fog",
+        "snow_cover",
         "streak_contrast",
         "particle_count",
         "rolling_shutter",

@@ -60,6 +60,7 @@ ACTIVE: dict[str, dict[str, float]] = {
         "factor_8mm": 0.5,
     },
     "lidar.shared_particles": {"share": 1.0, "width_factor": 30.0},
+    "lidar.snow_cover": {"depth_mm": 5.0, "reflectivity": 0.5, "uneven": 0.5},
 }
 
 

@@ -78,6 +78,7 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
     },
     "lidar.particle_sizes": {"factor_1mm": 1.0, "factor_2mm": 1.0, "factor_4mm": 1.0, "factor_8mm": 1.0},
     "lidar.shared_particles": {"share": 0.0, "width_factor": None},
+    "lidar.snow_cover": {"depth_mm": 0.0, "reflectivity": None, "uneven": None},
 }
 LIDAR = [name for name in EFFECTS if name.startswith("lidar.")]
 every_effect = pytest.mark.parametrize("name", LIDAR)
@@ -90,6 +91,7 @@ BEAMS_TOGETHER = {
     "lidar.ring_gain",
     "lidar.patchy_weather",
     "lidar.shared_particles",
+    "lidar.snow_cover",
 }
 # They know the scan's rows; an exported graph takes any number of points and so has none.
 NOT_IN_A_GRAPH = {"lidar.isolated_return_filter", "lidar.ring_gain"}
@@ -153,6 +155,7 @@ def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalog
         "wet_target",
         "limited_extent",
         "particle_sizes",
+        "snow_cover",
         "particle_returns",
         "shared_particles",
         "threshold_shift",

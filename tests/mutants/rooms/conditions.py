@@ -56,4 +56,28 @@ MUTANTS = (
         "if effect.id in ():",
         (f"{CONDITIONS}::test_an_effect_given_twice_names_both",),
     ),
+    Mutant(
+        "snow_on_walls",
+        "snow slides off what is steep",
+        "torchweather.physics.snow_pack",
+        "-torch.expm1(-depth_mm / ROUGHNESS_MM) * held",
+        "-torch.expm1(-depth_mm / ROUGHNESS_MM) + 0.0 * held",
+        ("tests/physics/test_snow_pack.py::test_snow_lies_on_what_is_level",),
+    ),
+    Mutant(
+        "grains_of_snow_by_their_radius",
+        "the law of the albedo takes the diameter of the grains",
+        "torchweather.physics.snow_pack",
+        "absorbed_per_m * 2e-6 * radius",
+        "absorbed_per_m * 1e-6 * radius",
+        ("tests/physics/test_snow_pack.py::test_albedo_is_that_of_photons",),
+    ),
+    Mutant(
+        "snow_seen_face_on",
+        "snow returns by the cosine of the incidence, as the reported intensities do",
+        "torchweather.lidar.effects.surfaces",
+        "white = white * state.scene.cos_incidence.abs().to(field)",
+        "white = white * torch.ones_like(field)",
+        (f"{CONDITIONS}::test_snow_on_the_road_returns_by_its_own_reflectivity",),
+    ),
 )

@@ -43,17 +43,17 @@ def ground_noise(noise: Tensor, x_m: Tensor, y_m: Tensor, footprint_m: Tensor | 
         phase = (2.0 * math.pi / length) * (x_m * turn.cos() + y_m * turn.sin()) + 2.0 * math.pi * w
         height = torch.cos(phase)
         if footprint_m is not None:
-            height = height * (length / footprint_m.clamp_min(1e-6) - 1.0).clamp(0.0, 1.0)
+            height = height * (0.5 * length / footprint_m.clamp_min(1e-6) - 1.0).clamp(0.0, 1.0)
         found = found + height
     return math.sqrt(2.0 / WAVES) * found
 
 
-def uneven(field: Tensor, log_std: float) -> Tensor:
+def uneven(field: Tensor, log_std: float | Tensor) -> Tensor:
     """Log-normal factor of mean 1 from a standard field: ``exp(s f - s^2 / 2)``.
 
     Example:
         >>> uneven(torch.zeros(2), 0.0)
         tensor([1., 1.])
     """
-    check_arguments("uneven(field: floating, log_std: float)", field, log_std)
+    check_arguments("uneven(field: floating, log_std: Quantity)", field, log_std)
     return torch.exp(log_std * field - 0.5 * log_std * log_std)

@@ -29,6 +29,7 @@ from torchweather.camera.effects.sensor import (
     CameraSensorNoise,
     CameraToneCurve,
 )
+from torchweather.camera.effects.surfaces import CameraSnowCover
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.pipeline.effect import register_effect
 
@@ -47,6 +48,7 @@ __all__ = [
     "CameraRollingShutter",
     "CameraSaturation",
     "CameraSensorNoise",
+    "CameraSnowCover",
     "CameraStrayLight",
     "CameraStreakContrast",
     "CameraToneCurve",
@@ -75,5 +77,6 @@ for _effect in (
     CameraStreakContrast,
     CameraParticleCount,
     CameraRollingShutter,
+    CameraSnowCover,
 ):
     register_effect(_effect)

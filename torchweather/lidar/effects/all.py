@@ -32,6 +32,7 @@ from torchweather.lidar.effects.structure import (
     LidarParticleSizes,
     LidarSharedParticles,
 )
+from torchweather.lidar.effects.surfaces import LidarSnowCover
 from torchweather.pipeline.effect import EFFECTS, register_effect
 
 __all__ = [
@@ -55,6 +56,7 @@ __all__ = [
     "LidarRingGain",
     "LidarSectorLoss",
     "LidarSharedParticles",
+    "LidarSnowCover",
     "LidarSpray",
     "LidarStaticStructure",
     "LidarThresholdShift",
@@ -87,5 +89,6 @@ for _effect in (
     LidarParticleDensityElevation,
     LidarParticleSizes,
     LidarSharedParticles,
+    LidarSnowCover,
 ):
     register_effect(_effect)

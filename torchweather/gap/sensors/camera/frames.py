@@ -90,7 +90,7 @@ class CameraFrames:
         self.catalogue = [
             name
             for name, effect in EFFECTS.items()
-            if name.startswith("camera.") and (with_normals or "normal" not in effect.needs)
+            if name.startswith("camera.") and effect.searched and (with_normals or "normal" not in effect.needs)
         ]
         # A line along a diagonal blurs nearly as a disk does; with two numbers it always explains a little more.
         self.forms = {name: counted_form(EFFECTS[name]) for name in self.catalogue if len(EFFECTS[name].arguments) > 1}

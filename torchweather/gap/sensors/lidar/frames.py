@@ -69,7 +69,7 @@ class LidarFrames:
             [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
         )
         self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
-        self.catalogue = [name for name in EFFECTS if name.startswith("lidar.")]
+        self.catalogue = [name for name, effect in EFFECTS.items() if name.startswith("lidar.") and effect.searched]
         self.forms: Mapping[str, type[Effect]] = LIDAR_FORMS
         self.as_record: AbstractSet[str] = frozenset()
         direction = torch.from_numpy(np.asarray(study.beams["direction"], dtype=np.float32))

@@ -81,7 +81,7 @@ class RadarFrames:
             [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
         )
         self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
-        self.catalogue = [name for name in EFFECTS if name.startswith("radar.")]
+        self.catalogue = [name for name, effect in EFFECTS.items() if name.startswith("radar.") and effect.searched]
         self.as_record: AbstractSet[str] = {"radar.path_loss_scale"}
         self.scenes: dict[str, RadarScene] = {name: radar_scene(scene, sensor) for name, scene in study.scenes.items()}
         floor_db = float(np.mean([scene.clear.floor_db.mean() for scene in self.scenes.values()]))
