@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -12,8 +14,9 @@ from torch import Tensor
 
 from tests.atmosphere.condition_scene import CAMERA, LIDAR, RADAR, ROAD_INTENSITY, H, W, camera_in, cloud, frame
 from tests.contract.table import map_weather
-from torchweather.atmosphere.conditions import CONDITIONS, SnowCover, WetRoad, WetWindow
+from torchweather.atmosphere.conditions import CONDITIONS, RoadSpray, SnowCover, WetRoad, WetWindow
 from torchweather.atmosphere.conditions.ground_noise import ground_noise, uneven
+from torchweather.atmosphere.conditions.road_spray import spray_values
 from torchweather.atmosphere.conditions.wet_road import water_on_road_mm
 from torchweather.atmosphere.conditions.wet_window import drops_on_window, film_on_window_mm
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Weather, parse_weather, weather_from_dict
@@ -22,10 +25,16 @@ from torchweather.compose import Compose
 from torchweather.core.distributions import Uniform
 from torchweather.core.errors import TorchweatherWarning
 from torchweather.lidar.surfaces import grid_normals
-from torchweather.physics import water_refractive_index
+from torchweather.physics import (
+    fog_attenuation_coefficient_db_per_km_per_g_per_m3,
+    water_permittivity_microwave,
+    water_refractive_index,
+)
 from torchweather.physics.road_water import road_water_mm
 from torchweather.physics.snow_pack import snow_pack_albedo
 from torchweather.physics.window_film import drop_cover, film_thickness_mm, microwave_film_loss_db
+from torchweather.pipeline.point_kind import PointKind
+from torchweather.radar.clutter import cell_volume_m3
 from torchweather.recipes import load_recipe
 from torchweather.sensors import Lidar
 from torchweather.transforms import BayerRain, BayerWeather, LidarWeather, RadarAttenuation, RadarMapWeather
@@ -377,3 +386,137 @@ def test_a_recipe_holds_conditions(tmp_path: Any) -> None:
     loaded = load_recipe(tmp_path / "wet.yaml")
     assert isinstance(loaded, BayerRain)
     assert "road_water" in loaded.chain.stages
+
+
+# ---- road spray ----------------------------------------------------------------------------------------------------
+
+
+def spray(**more: Any) -> RoadSpray:
+    return RoadSpray(**({"speed_m_per_s": 25.0, "distance_m": 12.0, "water_mm": 2.0, "uneven": 0.0} | more))
+
+
+def rows(y_m: np.ndarray) -> Any:
+    """Density across two rows of tyres, 1/m."""
+    parts = [np.exp(-0.5 * ((y_m - side) / 0.5) ** 2) for side in (-0.8, 0.8)]
+    return sum(parts) / (0.5 * math.sqrt(2 * math.pi))
+
+
+def test_spray_takes_its_water_from_the_road_or_the_rain() -> None:
+    given = spray_values(spray(water_mm=2.0), Mixture(spray()))["water_g_per_m"]
+    of_road = Mixture(WetRoad(water_mm=2.0), spray(water_mm=None))
+    assert spray_values(spray(water_mm=None), of_road)["water_g_per_m"] == pytest.approx(given)
+    of_rain = Mixture(Rain(40.0), spray(water_mm=None))
+    depth = float(road_water_mm(40.0))
+    assert spray_values(spray(water_mm=None), of_rain)["water_g_per_m"] == pytest.approx(given * depth / 2.0)
+    with pytest.raises(ValueError, match=r"RoadSpray: .* their rain differs. Give RoadSpray\(water_mm="):
+        camera_in(Mixture(Rain(torch.tensor([5.0, 40.0])), spray(water_mm=None)))
+
+
+def test_a_camera_sees_the_spray_as_a_veil_by_the_water_on_each_ray() -> None:
+    image = torch.full((1, H, W), 0.1)
+    values = spray_values(spray(), spray())
+    after = BayerWeather(spray(), CAMERA, depth=40.0, airlight=0.7)(image, seed=1)
+    row, column = H // 2 + 4, W // 2 + 3
+    y, x = (row - (H - 1) / 2) / 100.0, (column - (W - 1) / 2) / 100.0
+    norm = math.sqrt(1 + x**2 + y**2)
+    unit = (1 / norm, -x / norm, -y / norm)
+    steps = np.linspace(0.0, 12.0 * norm, 40_001)
+    t = 0.5 * (steps[1:] + steps[:-1])
+    z = np.maximum(1.5 + t * unit[2], 0.0)
+    across = sum(np.exp(-0.5 * ((t * unit[1] - side) / 0.5) ** 2) for side in (-0.8, 0.8)) / (
+        0.5 * math.sqrt(2 * math.pi)
+    )
+    behind = 12.0 - t * unit[0]
+    density = np.exp(-behind / values["length_m"] - z / 0.8) / 0.8 * across * values["water_g_per_m"] * 1e-3
+    tau = 1.5 / values["drop_mm"] * (density * np.diff(steps)).sum()
+    through = math.exp(-tau)
+    assert 0.2 < through < 0.9
+    assert float(after[0, row, column]) == pytest.approx(0.1 * through + 0.7 * (1 - through), abs=2 / 4095)
+
+
+def test_a_lidar_loses_what_the_spray_hides_and_lists_its_gates() -> None:
+    """Against gates that are drawn one by one along a beam."""
+    sensor = Lidar(wavelength_nm=905.0, intensity_unit="reflectivity", range_at_10_percent_m=150.0)
+    cloud_state = spray(tyre_m=0.6)
+    values = spray_values(cloud_state, cloud_state)
+    count = 4000
+    points = torch.tensor([[60.0, 1.8, -1.0, 0.3]]).repeat(count, 1)
+    result = LidarWeather(cloud_state, sensor).run(points, seed=3)
+    seen_m = result.points[:, :3].norm(dim=1)
+    found = result.kind == int(PointKind.PARTICLE)
+    # The brute-force beam: gates of the pulse's length, each with an exponential return about its mean.
+    unit = (points[0, :3] / points[0, :3].norm()).double().numpy()
+    gate = sensor.pulse_length_m
+    end = 12.0 / unit[0]
+    edges = np.linspace(0.0, end, 12 * 40 + 1)
+    t = 0.5 * (edges[1:] + edges[:-1])
+    across = sum(np.exp(-0.5 * ((t * unit[1] - side) / 0.5) ** 2) for side in (-0.8, 0.8)) / (
+        0.5 * math.sqrt(2 * math.pi)
+    )
+    z = 1.7 + t * unit[2]
+    density = (
+        np.exp(-(12.0 - t * unit[0]) / values["length_m"] - z / 0.8) / 0.8 * across * values["water_g_per_m"] * 1e-3
+    )
+    area = 1.5 / values["drop_mm"] * density
+    tau = np.cumsum(1.1 * area * np.diff(edges))
+    response = sensor.near_response(torch.from_numpy(t)).numpy()
+    mean = area * 0.2 / (4 * math.pi) * gate * response / t**2 * np.exp(-2 * tau) + 1e-30
+    # Poisson process of gates: those above a level x number sum(len / gate exp(-x / mean)).
+    level = float(sensor.threshold_per_m2_sr)
+    expected = (np.diff(edges) / gate * np.exp(-level / mean)).sum()
+    detected = 1 - math.exp(-expected)
+    # Of the strongest return, where the object does not beat it.
+    object_signal = 0.3 / math.pi / float(points[0, :3].norm()) ** 2 * math.exp(-2 * tau[-1])
+    beaten = 1 - math.exp(-(np.diff(edges) / gate * np.exp(-max(level, object_signal) / mean)).sum())
+    assert detected > beaten > 0.05
+    error = 4 * math.sqrt(beaten * (1 - beaten) / count)
+    assert float(found.float().mean()) == pytest.approx(beaten, abs=error + 0.02)  # 12 parts stand for the integral
+    assert bool((seen_m[found] < 13.0).all())
+    objects = ~found & (result.kind == int(PointKind.OBJECT))
+    assert float(result.points[objects, 3].mean()) == pytest.approx(0.3 * math.exp(-2 * tau[-1]), rel=0.03)
+
+
+def test_a_radar_loses_little_in_the_spray_and_sees_its_densest_cell() -> None:
+    """Tenths of a decibel behind the vehicle, less aside of it, and one echo of the cloud."""
+    targets = torch.tensor([[40.0, 0.8, 0.0, 0.0, -60.0, 10.0], [20.0, 20.0, 0.0, 0.0, -60.0, 10.0]])
+    after = RadarAttenuation(spray(), RADAR).run(targets, seed=1)
+    assert isinstance(after.attenuation_db, Tensor)
+    loss = after.attenuation_db[:2]
+    values = spray_values(spray(), spray())
+    unit = (targets[0, :3] / targets[0, :3].norm()).double().numpy()
+    t = np.linspace(0.0, 12.0 / unit[0], 20_001)
+    t = 0.5 * (t[1:] + t[:-1])
+    across = sum(np.exp(-0.5 * ((t * unit[1] - side) / 0.5) ** 2) for side in (-0.8, 0.8)) / (
+        0.5 * math.sqrt(2 * math.pi)
+    )
+    density = np.exp(-(12.0 - t * unit[0]) / values["length_m"] - 0.5 / 0.8) / 0.8 * across * values["water_g_per_m"]
+    per_km = float(fog_attenuation_coefficient_db_per_km_per_g_per_m3(RADAR.frequency_ghz, 10.0))
+    expected = 2 * per_km * 1e-3 * density.mean() * 12.0 / unit[0]
+    assert 0.01 < expected < 1.0
+    assert float(loss[0]) == pytest.approx(expected, rel=0.01)
+    assert float(loss[1]) < 0.3 * float(loss[0])  # the plume reaches past the radar
+    assert isinstance(after.points, Tensor)
+    assert isinstance(after.kind, Tensor)
+    (row,) = after.points[after.kind == int(PointKind.PARTICLE)]
+    at_m = 12.0 - 0.5 * RADAR.range_resolution_m
+    assert float(row[0]) == pytest.approx(at_m)
+    # Rayleigh: N D^6 of equal drops, in the densest cell.
+    drop_m = 1e-3 * values["drop_mm"]
+    thinned = math.exp(-(12.0 - at_m) / values["length_m"] - 0.5 / 0.8) / 0.8
+    water = 1e-3 * values["water_g_per_m"] * thinned * float(rows(np.array([0.8]))[0])
+    drops = water / (1000.0 * math.pi / 6.0 * drop_m**3)
+    index = complex(water_permittivity_microwave(RADAR.frequency_ghz, 10.0))
+    factor = abs((index - 1) / (index + 2)) ** 2 * math.pi**5 / RADAR.wavelength_m**4
+    rcs = factor * drops * drop_m**6 * float(cell_volume_m3(torch.tensor(at_m), RADAR))
+    assert float(row[5]) == pytest.approx(10.0 * math.log10(rcs), abs=0.01)
+    deaf = RadarAttenuation(spray(), replace(RADAR, detection_snr_db=60.0))
+    assert not bool((deaf.run(targets, seed=1).kind == int(PointKind.PARTICLE)).any())
+
+
+def test_billows_are_the_same_for_camera_and_lidar() -> None:
+    camera, lidar = camera_in(spray(uneven=0.5)), LidarWeather(spray(uneven=0.5), LIDAR)
+    (one,), (other,) = (kind.chain.stages["road_spray"].air_variates() for kind in (camera, lidar))
+    assert one == other
+    both = Compose({"image": camera, "points": lidar}, weather=spray(uneven=0.5))
+    out = both({"image": frame(), "points": cloud()}, seed=2)
+    assert not torch.equal(out["image"], frame())

@@ -14,11 +14,12 @@ from torch import Tensor
 
 from tests.atmosphere import condition_scene
 from tests.behaviour.cases import cases
+from tests.camera.effects import camera_effect_scene
 from tests.contract.table import CAMERA, LIDAR, TABLE, H, W, cloud, frame, map_weather, rays
 from tests.contract.traced import Trace, traced
 from tests.lidar.effects import effect_scene
 from tests.radar.effects import radar_effect_scene
-from torchweather.atmosphere.conditions import SnowCover, WetRoad, WetWindow
+from torchweather.atmosphere.conditions import RoadSpray, SnowCover, WetRoad, WetWindow
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.camera.depth import SceneDepth
 from torchweather.lidar.effects.empirical import AXES, KINDS, Empirical
@@ -92,7 +93,13 @@ def radars() -> None:
 
 def conditions() -> None:
     """Water on the road and the windows, normals from the depth and from the call."""
-    wet = Mixture(Rain(20.0), WetRoad(puddles=0.5), WetWindow(speed_m_per_s=10.0), SnowCover(depth_mm=5.0))
+    wet = Mixture(
+        Rain(20.0),
+        WetRoad(puddles=0.5),
+        WetWindow(speed_m_per_s=10.0),
+        SnowCover(depth_mm=5.0),
+        RoadSpray(speed_m_per_s=20.0),
+    )
     image = condition_scene.frame((2,))
     transform = condition_scene.camera_in(wet)
     ran(transform, image)
@@ -102,6 +109,10 @@ def conditions() -> None:
     depth_m[:, : image.shape[-2] // 2] = math.inf
     for scene in (depth_m, SceneDepth(depth_m, sky=depth_m.isinf().float())):
         ran(BayerWeather(wet, condition_scene.CAMERA), image, depth=scene)
+        spray = camera_effect_scene.active("camera.road_spray")
+        shown = replace(scene, near_mask=depth_m * 0.0) if isinstance(scene, SceneDepth) else scene
+        for weather in (Rain(5.0), Fog(60.0)):
+            ran(BayerWeather(weather, condition_scene.CAMERA, effects=[spray]), image, depth=shown)
     points = condition_scene.cloud()
     ran(LidarWeather(wet, condition_scene.LIDAR), points)
     rings = replace(condition_scene.LIDAR, elevations_deg=tuple(range(-8, 8)), columns=len(points) // 16)

@@ -6,12 +6,14 @@ from typing import Any
 
 from torch import Tensor
 
-from torchweather.atmosphere.conditions import SnowCover, WetRoad, WetWindow, condition_of
+from torchweather.atmosphere.conditions import RoadSpray, SnowCover, WetRoad, WetWindow, condition_of
+from torchweather.atmosphere.conditions.road_spray import spray_values
 from torchweather.atmosphere.conditions.wet_road import water_on_road_mm
 from torchweather.atmosphere.conditions.wet_window import drops_on_window
 from torchweather.atmosphere.weather import Weather
 from torchweather.camera.effects.air import CameraWetSurface
 from torchweather.camera.effects.optics import CameraAdherentDrops
+from torchweather.camera.effects.spray import CameraRoadSpray
 from torchweather.camera.effects.surfaces import CameraSnowCover
 from torchweather.camera.surfaces import CameraRoadWater, CameraSkyLight, CameraSurfaceNormals
 from torchweather.physics.road_water import wet_albedo
@@ -57,6 +59,10 @@ def camera_conditions(weather: Weather, airlight: Any = None) -> OfConditions:
     if window is not None and not window.is_nothing:
         cover = drops_on_window(window, weather, inclination_deg=WINDSCREEN_DEG)
         effects.append((window, CameraAdherentDrops(cover=one_or_each(cover))))
+    spray = condition_of(weather, RoadSpray)
+    if spray is not None and not spray.is_nothing:
+        surfaces["sky_light"] = CameraSkyLight(airlight)
+        effects.append((spray, CameraRoadSpray(**spray_values(spray, weather))))
     return OfConditions(tuple(effects), surfaces)
 
 

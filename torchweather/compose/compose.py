@@ -326,8 +326,8 @@ class Compose(nn.Module):
         noise = transform.draw(value, seed=derived_seed(draw.seed, key))
         inner = transform.transform if spec.rgb else transform
         for name, stage in inner.chain.stages.items():
-            if stage.of_the_air:
-                shared = draw_variates([draw.seed], "air", list(stage.variates()), {})
+            if stage.air_variates():
+                shared = draw_variates([draw.seed], "air", list(stage.air_variates()), {})
                 noise |= {
                     f"{name}.{full.removeprefix('air.')}": torch.from_numpy(array[0]) for full, array in shared.items()
                 }

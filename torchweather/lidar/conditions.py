@@ -6,11 +6,13 @@ import math
 
 import torch
 
-from torchweather.atmosphere.conditions import SnowCover, WetRoad, WetWindow, condition_of
+from torchweather.atmosphere.conditions import RoadSpray, SnowCover, WetRoad, WetWindow, condition_of
+from torchweather.atmosphere.conditions.road_spray import spray_values
 from torchweather.atmosphere.conditions.wet_road import water_on_road_mm
 from torchweather.atmosphere.conditions.wet_window import drops_on_window, film_on_window_mm
 from torchweather.atmosphere.weather import Weather
 from torchweather.lidar.effects.air import LidarWetTarget, LidarWindowLoss
+from torchweather.lidar.effects.road_spray import LidarRoadSpray
 from torchweather.lidar.effects.surfaces import LidarSnowCover
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.surfaces import LidarRoadWater, LidarSurfaceNormals
@@ -70,4 +72,7 @@ def lidar_conditions(weather: Weather, sensor: Lidar) -> OfConditions:
         # A film may mirror less than the dry window, and a window that gains counts as one that loses nothing.
         loss_db = (-20.0 * torch.log10(through)).clamp_min(0.0)
         effects.append((window, LidarWindowLoss(loss_db=loss_db[0] if loss_db.numel() == 1 else loss_db)))
+    spray = condition_of(weather, RoadSpray)
+    if spray is not None and not spray.is_nothing:
+        effects.append((spray, LidarRoadSpray(**spray_values(spray, weather))))
     return OfConditions(tuple(effects), surfaces)

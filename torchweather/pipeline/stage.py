@@ -48,11 +48,15 @@ class Stage(AtLeastSingle):
     each_beam_alone: ClassVar[bool] = False
     """Whether a beam of a LiDAR comes out the same whatever the others are, and noise has the beams last."""
     of_the_air: ClassVar[bool] = False
-    """Whether its noise belongs to the weather and not to a sensor: ``Compose`` gives it to all sensors of a sample."""
+    """Whether all its noise belongs to the weather and not to a sensor (``air_variates``)."""
 
     def variates(self) -> tuple[Variate, ...]:
         """The standard random numbers that this stage needs; none for a deterministic stage."""
         return ()
+
+    def air_variates(self) -> tuple[Variate, ...]:
+        """Those of them that belong to the weather and not to a sensor: ``Compose`` gives them to all sensors."""
+        return self.variates() if self.of_the_air else ()
 
     def draw(
         self,

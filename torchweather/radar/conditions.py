@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from torchweather.atmosphere.conditions import WetWindow, condition_of
+from torchweather.atmosphere.conditions import RoadSpray, WetWindow, condition_of
+from torchweather.atmosphere.conditions.road_spray import spray_values
 from torchweather.atmosphere.conditions.wet_window import film_on_window_mm
 from torchweather.atmosphere.weather import Weather
 from torchweather.physics.window_film import microwave_film_loss_db
 from torchweather.pipeline.conditions import OfConditions
 from torchweather.pipeline.effect import Effect
 from torchweather.radar.effects.path import RadarWetRadome
+from torchweather.radar.effects.spray import RadarRoadSpray
 from torchweather.radar.sensor import Radar
 
 __all__ = ["radar_conditions"]
@@ -36,4 +38,7 @@ def radar_conditions(weather: Weather, sensor: Radar) -> OfConditions:
         film = film_on_window_mm(window, weather, length_m=COVER_M, inclination_deg=90.0)
         loss_db = 2.0 * microwave_film_loss_db(film, sensor.frequency_ghz)
         effects.append((window, RadarWetRadome(loss_db=loss_db[0] if loss_db.numel() == 1 else loss_db)))
+    spray = condition_of(weather, RoadSpray)
+    if spray is not None and not spray.is_nothing:
+        effects.append((spray, RadarRoadSpray(**spray_values(spray, weather))))
     return OfConditions(tuple(effects))

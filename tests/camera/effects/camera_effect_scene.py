@@ -39,6 +39,15 @@ ACTIVE: dict[str, dict[str, float]] = {
     "camera.particle_count": {"factor": 2.0, "depth_max_m": 6.0},
     "camera.rolling_shutter": {"row_time_s": 2.5e-4},
     "camera.snow_cover": {"depth_mm": 4.0, "albedo": 0.875, "uneven": 0.5},
+    "camera.road_spray": {
+        "water_g_per_m": 8.0,
+        "drop_mm": 0.25,
+        "distance_m": 15.0,
+        "lateral_m": 0.5,
+        "length_m": 20.0,
+        "height_m": 0.75,
+        "uneven": 0.5,
+    },
 }
 
 

@@ -64,6 +64,15 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
     "camera.particle_count": {"factor": 1.0, "depth_max_m": inf},
     "camera.rolling_shutter": {"row_time_s": 0.0},
     "camera.snow_cover": {"depth_mm": 0.0, "albedo": None, "uneven": None},
+    "camera.road_spray": {
+        "water_g_per_m": 0.0,
+        "drop_mm": None,
+        "distance_m": None,
+        "lateral_m": None,
+        "length_m": None,
+        "height_m": None,
+        "uneven": None,
+    },
 }
 every_effect = pytest.mark.parametrize("name", CAMERA_EFFECTS)
 # Normals are no input of a graph, and its footprints have no room for longer streaks.
@@ -149,18 +158,18 @@ def test_effects_stand_in_the_order_of_the_light_whatever_the_weather() -> None:
         "wet_surface",
         "patchy_fog",
         "height_fog",
-        "snow_cover",
         "streak_contrast",
         "particle_count",
         "rolling_shutter",
+        "snow_cover",
     ]
     lens = ["adherent_drops", "ego_blur", "defocus", "vignetting", "stray_light"]
     pixels = ["exposure_gain", "sensor_noise", "saturation", "tone_curve"]
     fog, veil = "extinction_and_airlight", "particle_veil"
     for weather, middle in (
-        (Mixture(Rain(5.0), Fog(mor_m=60.0)), [fog, "aerosol_glow", veil]),
-        (Fog(mor_m=60.0), [fog, "aerosol_glow"]),
-        (Snow(1.0), ["aerosol_glow", veil]),
+        (Mixture(Rain(5.0), Fog(mor_m=60.0)), [fog, "aerosol_glow", "road_spray", veil]),
+        (Fog(mor_m=60.0), [fog, "aerosol_glow", "road_spray"]),
+        (Snow(1.0), ["aerosol_glow", "road_spray", veil]),
     ):
         effects = [EFFECTS[name]() for name in reversed(CAMERA_EFFECTS)]
         chain = rain_in_fog(weather, effects=effects).chain

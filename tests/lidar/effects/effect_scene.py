@@ -61,6 +61,16 @@ ACTIVE: dict[str, dict[str, float]] = {
     },
     "lidar.shared_particles": {"share": 1.0, "width_factor": 30.0},
     "lidar.snow_cover": {"depth_mm": 5.0, "reflectivity": 0.5, "uneven": 0.5},
+    "lidar.road_spray": {
+        "water_g_per_m": 30.0,
+        "drop_mm": 0.25,
+        "distance_m": 15.0,
+        "lateral_m": 0.5,
+        "length_m": 20.0,
+        "height_m": 0.75,
+        "uneven": 0.5,
+        "sensor_height_m": 1.5,
+    },
 }
 
 

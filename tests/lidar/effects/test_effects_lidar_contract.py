@@ -79,6 +79,16 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
     "lidar.particle_sizes": {"factor_1mm": 1.0, "factor_2mm": 1.0, "factor_4mm": 1.0, "factor_8mm": 1.0},
     "lidar.shared_particles": {"share": 0.0, "width_factor": None},
     "lidar.snow_cover": {"depth_mm": 0.0, "reflectivity": None, "uneven": None},
+    "lidar.road_spray": {
+        "water_g_per_m": 0.0,
+        "drop_mm": None,
+        "distance_m": None,
+        "lateral_m": None,
+        "length_m": None,
+        "height_m": None,
+        "uneven": None,
+        "sensor_height_m": None,
+    },
 }
 LIDAR = [name for name in EFFECTS if name.startswith("lidar.")]
 every_effect = pytest.mark.parametrize("name", LIDAR)
@@ -92,6 +102,7 @@ BEAMS_TOGETHER = {
     "lidar.patchy_weather",
     "lidar.shared_particles",
     "lidar.snow_cover",
+    "lidar.road_spray",
 }
 # They know the scan's rows; an exported graph takes any number of points and so has none.
 NOT_IN_A_GRAPH = {"lidar.isolated_return_filter", "lidar.ring_gain"}
@@ -161,6 +172,7 @@ def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalog
         "threshold_shift",
         "particle_backscatter",
         "spray",
+        "road_spray",
         "window_loss",
         "sector_loss",
         "ring_gain",

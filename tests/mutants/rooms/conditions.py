@@ -80,4 +80,28 @@ MUTANTS = (
         "white = white * torch.ones_like(field)",
         (f"{CONDITIONS}::test_snow_on_the_road_returns_by_its_own_reflectivity",),
     ),
+    Mutant(
+        "spray_of_one_row_of_tyres",
+        "a vehicle has tyres on both sides",
+        "torchweather.physics.road_spray",
+        "shape = sum(self._across(y_m, side) for side in (-0.5, 0.5))",
+        "shape = sum(self._across(y_m, side) for side in (-0.5,))",
+        ("tests/physics/test_road_spray.py::test_the_cloud_holds_the_water_that_the_tyres_lift",),
+    ),
+    Mutant(
+        "spray_gates_of_a_whole_pulse",
+        "the pulse covers half of its length in range",
+        "torchweather.lidar.effects.road_spray",
+        "gate_m = sensor.pulse_length_m",
+        "gate_m = 2.0 * sensor.pulse_length_m",
+        (f"{CONDITIONS}::test_a_lidar_loses_what_the_spray_hides_and_lists_its_gates",),
+    ),
+    Mutant(
+        "billows_of_each_sensor_alone",
+        "one cloud of spray stands before all sensors",
+        "torchweather.lidar.effects.road_spray",
+        "return (BILLOWS,)",
+        "return ()",
+        (f"{CONDITIONS}::test_billows_are_the_same_for_camera_and_lidar",),
+    ),
 )

@@ -33,9 +33,19 @@ ACTIVE: dict[str, dict[str, Any]] = {
     "radar.pattern_tilt": {"angle_rad": 0.125},
     "radar.fluctuation": {"log_std_db": 3.0},
     "radar.detection_limit": {"max_count": 12.0},
+    "radar.road_spray": {
+        "water_g_per_m": 4000.0,
+        "drop_mm": 1.5,
+        "distance_m": 15.0,
+        "lateral_m": 0.5,
+        "length_m": 20.0,
+        "height_m": 0.75,
+        "uneven": 0.5,
+        "sensor_height_m": 0.5,
+    },
 }
 # They append rows, none where they were built at their identity.
-APPENDING = ("radar.volume_clutter", "radar.multipath")
+APPENDING = ("radar.volume_clutter", "radar.multipath", "radar.road_spray")
 
 
 def active(name: str, **more: Any) -> Effect:

@@ -48,6 +48,16 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
     "radar.pattern_tilt": {"angle_rad": 0.0},
     "radar.fluctuation": {"log_std_db": 0.0},
     "radar.detection_limit": {"max_count": math.inf},
+    "radar.road_spray": {
+        "water_g_per_m": 0.0,
+        "drop_mm": None,
+        "distance_m": None,
+        "lateral_m": None,
+        "length_m": None,
+        "height_m": None,
+        "uneven": None,
+        "sensor_height_m": None,
+    },
 }
 RADAR = [name for name in EFFECTS if name.startswith("radar.")]
 every_effect = pytest.mark.parametrize("name", RADAR)
@@ -110,6 +120,7 @@ def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalog
         "fluctuation",
         "multipath",
         "volume_clutter",
+        "road_spray",
         "rain_clutter",
         "radar_detection",
         "detection_limit",
@@ -121,7 +132,7 @@ def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalog
 def test_the_cover_of_the_transform_stands_before_the_effects_and_is_not_given_twice() -> None:
     stages = list(rain(effects=[active("radar.multipath")], radome_loss_db=1.0).chain.stages)
     assert stages[:3] == ["path_attenuation", "wet_radome", "multipath"]
-    with pytest.raises(ValueError, match=r"are what radar.wet_radome has as loss_db and film_db. Give one"):
+    with pytest.raises(ValueError, match=r"are what radar.wet_radome has as loss_db and film_db, .* Give one"):
         rain(effects=[active("radar.wet_radome")], radome_loss_db=1.0)
 
 

@@ -7,8 +7,9 @@ condition into effects of its own (``camera/conditions.py``, ``lidar/conditions.
 from __future__ import annotations
 
 from torchweather.atmosphere.conditions.condition import CONDITIONS, Condition, condition_of, rain_of
+from torchweather.atmosphere.conditions.road_spray import RoadSpray
 from torchweather.atmosphere.conditions.snow_cover import SnowCover
 from torchweather.atmosphere.conditions.wet_road import WetRoad
 from torchweather.atmosphere.conditions.wet_window import WetWindow
 
-__all__ = ["CONDITIONS", "Condition", "SnowCover", "WetRoad", "WetWindow", "condition_of", "rain_of"]
+__all__ = ["CONDITIONS", "Condition", "RoadSpray", "SnowCover", "WetRoad", "WetWindow", "condition_of", "rain_of"]

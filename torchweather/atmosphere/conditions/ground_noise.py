@@ -18,13 +18,16 @@ GROUND_VARIATE = Variate("ground", "uniform", (WAVES, 3))
 """Wavelength, direction and phase of each wave. Its name is that of the shared stream: water and snow are one field."""
 
 
-def ground_noise(noise: Tensor, x_m: Tensor, y_m: Tensor, footprint_m: Tensor | None = None) -> Tensor:
+def ground_noise(
+    noise: Tensor, x_m: Tensor, y_m: Tensor, footprint_m: Tensor | None = None, redness: float = 0.0
+) -> Tensor:
     """A field of mean 0 and variance 1, a sum of plane waves; nearly normal.
 
     Args:
         noise: ``(B, 12, 3)`` uniforms of ``GROUND_VARIATE``.
         x_m, y_m: ``(1 or B, ...)`` places, forward and left.
         footprint_m: along the ground of what sees a place; waves shorter than two of them fade out.
+        redness: power of the wavelength with which the waves grow; above 0 long ones prevail, as in turbulence.
 
     Returns:
         ``(B, ...)``.
@@ -35,7 +38,7 @@ def ground_noise(noise: Tensor, x_m: Tensor, y_m: Tensor, footprint_m: Tensor | 
         torch.Size([1, 4])
     """
     check_arguments("ground_noise(noise: floating(B, 12, 3), x_m: floating, y_m: floating)", noise, x_m, y_m)
-    found = torch.zeros_like(x_m)
+    found, power = torch.zeros_like(x_m), torch.zeros((), dtype=x_m.dtype, device=x_m.device)
     for wave in range(WAVES):
         u, v, w = (noise[:, wave, k].to(x_m).view(-1, *(1,) * (x_m.ndim - 1)) for k in range(3))
         length = SHORTEST_M * (LONGEST_M / SHORTEST_M) ** u
@@ -44,8 +47,9 @@ def ground_noise(noise: Tensor, x_m: Tensor, y_m: Tensor, footprint_m: Tensor | 
         height = torch.cos(phase)
         if footprint_m is not None:
             height = height * (0.5 * length / footprint_m.clamp_min(1e-6) - 1.0).clamp(0.0, 1.0)
-        found = found + height
-    return math.sqrt(2.0 / WAVES) * found
+        weight = length**redness
+        found, power = found + weight * height, power + weight.square()
+    return found * (2.0 / power).sqrt()
 
 
 def uneven(field: Tensor, log_std: float | Tensor) -> Tensor:

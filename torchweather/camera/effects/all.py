@@ -29,6 +29,7 @@ from torchweather.camera.effects.sensor import (
     CameraSensorNoise,
     CameraToneCurve,
 )
+from torchweather.camera.effects.spray import CameraRoadSpray
 from torchweather.camera.effects.surfaces import CameraSnowCover
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.pipeline.effect import register_effect
@@ -45,6 +46,7 @@ __all__ = [
     "CameraHeightFog",
     "CameraParticleCount",
     "CameraPatchyFog",
+    "CameraRoadSpray",
     "CameraRollingShutter",
     "CameraSaturation",
     "CameraSensorNoise",
@@ -78,5 +80,6 @@ for _effect in (
     CameraParticleCount,
     CameraRollingShutter,
     CameraSnowCover,
+    CameraRoadSpray,
 ):
     register_effect(_effect)

@@ -26,6 +26,7 @@ from torchweather.lidar.effects.receiver import (
     LidarRingGain,
     LidarThresholdShift,
 )
+from torchweather.lidar.effects.road_spray import LidarRoadSpray
 from torchweather.lidar.effects.structure import (
     LidarParticleDensityAzimuth,
     LidarParticleDensityElevation,
@@ -54,6 +55,7 @@ __all__ = [
     "LidarRangeNoise",
     "LidarRangeStretch",
     "LidarRingGain",
+    "LidarRoadSpray",
     "LidarSectorLoss",
     "LidarSharedParticles",
     "LidarSnowCover",
@@ -90,5 +92,6 @@ for _effect in (
     LidarParticleSizes,
     LidarSharedParticles,
     LidarSnowCover,
+    LidarRoadSpray,
 ):
     register_effect(_effect)

@@ -19,6 +19,7 @@ from torchweather.radar.effects.receiver import (
     RadarNoiseFloor,
     RadarRangeMigration,
 )
+from torchweather.radar.effects.spray import RadarRoadSpray
 
 __all__ = [
     "EFFECTS",
@@ -32,6 +33,7 @@ __all__ = [
     "RadarPathLossScale",
     "RadarPatternTilt",
     "RadarRangeMigration",
+    "RadarRoadSpray",
     "RadarVolumeClutter",
     "RadarWetRadome",
     "RadarWetRcs",
@@ -51,5 +53,6 @@ for _effect in (
     RadarPatternTilt,
     RadarFluctuation,
     RadarDetectionLimit,
+    RadarRoadSpray,
 ):
     register_effect(_effect)
