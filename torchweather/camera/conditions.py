@@ -12,9 +12,10 @@ from torchweather.atmosphere.conditions.wet_road import water_on_road_mm
 from torchweather.atmosphere.conditions.wet_window import drops_on_window
 from torchweather.atmosphere.weather import Weather
 from torchweather.camera.effects.air import CameraWetSurface
-from torchweather.camera.effects.optics import CameraAdherentDrops
+from torchweather.camera.effects.refraction import CameraRefractingDrops
 from torchweather.camera.effects.spray import CameraRoadSpray
 from torchweather.camera.effects.surfaces import CameraSnowCover
+from torchweather.camera.sensor import Camera
 from torchweather.camera.surfaces import CameraRoadWater, CameraSkyLight, CameraSurfaceNormals
 from torchweather.physics.road_water import wet_albedo
 from torchweather.physics.snow_pack import snow_pack_albedo
@@ -25,20 +26,24 @@ from torchweather.pipeline.stage import Stage
 __all__ = ["camera_conditions"]
 
 GREEN_NM = 550.0
+PUPIL_M = 2e-3  # entrance pupil of a camera whose f-number is not known
+WINDOW_M = 0.06  # from the lens to the window along the axis; order of magnitude
 WINDSCREEN_DEG = 30.0  # of a car's windscreen from the level
 
 
-def camera_conditions(weather: Weather, airlight: Any = None) -> OfConditions:
+def camera_conditions(weather: Weather, camera: Camera, airlight: Any = None) -> OfConditions:
     """Effects of a camera, and the stages that these need, for the conditions of a weather.
 
     Args:
         weather: with numbers; a condition of amount 0 makes no effect.
+        camera: whose aperture decides how sharp drops on the window are.
         airlight: signals of the sky, or how to estimate them, as `BayerWeather`.
 
     Example:
         >>> from torchweather.atmosphere.weather import Mixture, Rain
-        >>> [effect.id for _, effect in camera_conditions(Mixture(Rain(10), WetRoad(), WetWindow())).effects]
-        ['camera.wet_surface', 'camera.adherent_drops']
+        >>> weather, camera = Mixture(Rain(10), WetRoad(), WetWindow()), Camera.preset("lucid-triton")
+        >>> [effect.id for _, effect in camera_conditions(weather, camera).effects]
+        ['camera.wet_surface', 'camera.refracting_drops']
     """
     effects: list[tuple[Weather, Effect]] = []
     surfaces: dict[str, Stage] = {}
@@ -58,7 +63,8 @@ def camera_conditions(weather: Weather, airlight: Any = None) -> OfConditions:
         effects.append((snow, CameraSnowCover(**values)))
     if window is not None and not window.is_nothing:
         cover = drops_on_window(window, weather, inclination_deg=WINDSCREEN_DEG)
-        effects.append((window, CameraAdherentDrops(cover=one_or_each(cover))))
+        blur_px = min(400.0, (camera.aperture_m or PUPIL_M) / WINDOW_M * camera.fx)
+        effects.append((window, CameraRefractingDrops(cover=one_or_each(cover), blur_px=blur_px)))
     spray = condition_of(weather, RoadSpray)
     if spray is not None and not spray.is_nothing:
         surfaces["sky_light"] = CameraSkyLight(airlight)

@@ -233,7 +233,7 @@ class BayerWeather(WeatherTransform):
                 if name == "extinction_and_airlight":
                     lit["lamp_veil"] = LampVeil()
             stages = lit
-        conditions = camera_conditions(weather, airlight)
+        conditions = camera_conditions(weather, camera, airlight)
         meter: dict[str, Stage] = {}
         if exposure_control is not None:
             control = as_exposure_control(exposure_control, owner=self)

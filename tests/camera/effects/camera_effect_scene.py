@@ -48,6 +48,7 @@ ACTIVE: dict[str, dict[str, float]] = {
         "height_m": 0.75,
         "uneven": 0.5,
     },
+    "camera.refracting_drops": {"cover": 0.25, "blur_px": 2.0, "contact_deg": 45.0},
 }
 
 

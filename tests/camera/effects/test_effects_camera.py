@@ -73,6 +73,7 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
         "height_m": None,
         "uneven": None,
     },
+    "camera.refracting_drops": {"cover": 0.0, "blur_px": None, "contact_deg": None},
 }
 every_effect = pytest.mark.parametrize("name", CAMERA_EFFECTS)
 # Normals are no input of a graph, and its footprints have no room for longer streaks.
@@ -80,6 +81,7 @@ NOT_IN_A_GRAPH = {
     "camera.wet_surface": "wanted a state with normal",
     "camera.rolling_shutter": "leave it out",
     "camera.snow_cover": "wanted a state with normal",
+    "camera.refracting_drops": "no graph can hold it",
 }
 
 
@@ -163,7 +165,7 @@ def test_effects_stand_in_the_order_of_the_light_whatever_the_weather() -> None:
         "rolling_shutter",
         "snow_cover",
     ]
-    lens = ["adherent_drops", "ego_blur", "defocus", "vignetting", "stray_light"]
+    lens = ["adherent_drops", "refracting_drops", "ego_blur", "defocus", "vignetting", "stray_light"]
     pixels = ["exposure_gain", "sensor_noise", "saturation", "tone_curve"]
     fog, veil = "extinction_and_airlight", "particle_veil"
     for weather, middle in (

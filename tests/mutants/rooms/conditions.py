@@ -104,4 +104,20 @@ MUTANTS = (
         "return ()",
         (f"{CONDITIONS}::test_billows_are_the_same_for_camera_and_lidar",),
     ),
+    Mutant(
+        "drops_that_turn_the_wrong_way",
+        "a convex drop bends rays towards its axis: the scene stands upside down",
+        "torchweather.camera.effects.refraction",
+        "outward = [steep * u, steep * v]",
+        "outward = [-steep * u, -steep * v]",
+        ("tests/camera/effects/test_refracting_drops.py::test_the_scene_stands_upside_down_in_a_drop",),
+    ),
+    Mutant(
+        "drops_of_another_colour",
+        "each pixel of a mosaic shows the light of its own phase",
+        "torchweather.camera.effects.refraction",
+        "aside, down = columns.long() % 2, rows.long() % 2",
+        "aside, down = 0 * columns.long(), 0 * rows.long()",
+        ("tests/camera/effects/test_refracting_drops.py::test_a_mosaic_shows_the_light_of_its_own_colour",),
+    ),
 )

@@ -23,6 +23,7 @@ from torchweather.camera.effects.particles import (
     CameraStreakContrast,
     CameraWindSlant,
 )
+from torchweather.camera.effects.refraction import CameraRefractingDrops
 from torchweather.camera.effects.sensor import (
     CameraExposureGain,
     CameraSaturation,
@@ -46,6 +47,7 @@ __all__ = [
     "CameraHeightFog",
     "CameraParticleCount",
     "CameraPatchyFog",
+    "CameraRefractingDrops",
     "CameraRoadSpray",
     "CameraRollingShutter",
     "CameraSaturation",
@@ -81,5 +83,6 @@ for _effect in (
     CameraRollingShutter,
     CameraSnowCover,
     CameraRoadSpray,
+    CameraRefractingDrops,
 ):
     register_effect(_effect)
