@@ -17,6 +17,7 @@ MODULES = {
     "torchweather.transforms": "the transforms of all sensors",
     "torchweather.stages": "stages and chains, for transforms of one's own",
     "torchweather.atmosphere.weather": "weather",
+    "torchweather.atmosphere.conditions": "water and snow on things",
     "torchweather.atmosphere.density_field": "banks and gusts",
     "torchweather.camera.depth": "depth and sky of images",
     "torchweather.camera.effects.all": "effects of cameras",

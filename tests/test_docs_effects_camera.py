@@ -19,6 +19,13 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "effects-camera.md"
 SCRIPT = ROOT / "docs" / "_figures" / "camera_effects.py"
 CAMERA = [name for name in EFFECTS if name.startswith("camera.")]
+# Tested in tests/camera/effects/test_effects_camera.py.
+NOT_IN_A_GRAPH = (
+    "camera.wet_surface",
+    "camera.rolling_shutter",
+    "camera.snow_cover",
+    "camera.refracting_drops",
+)
 every_effect = pytest.mark.parametrize("name", CAMERA)
 
 
@@ -60,8 +67,7 @@ def test_a_section_says_what_the_class_says(name: str) -> None:
     listed = [line for line in lines if line.startswith("- ")]
     assert [line for line in listed if not line.startswith("- **ONNX**")] == facts(effect)
     (onnx,) = [line for line in listed if line.startswith("- **ONNX**")]
-    # Which do not is tested in tests/camera/effects/test_effects_camera.py.
-    assert onnx.startswith("- **ONNX**: no, ") == (name in ("camera.wet_surface", "camera.rolling_shutter"))
+    assert onnx.startswith("- **ONNX**: no, ") == (name in NOT_IN_A_GRAPH)
 
 
 @every_effect

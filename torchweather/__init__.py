@@ -6,6 +6,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from torchweather.atmosphere.conditions import RoadSpray, SnowCover, WetRoad, WetWindow
     from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
     from torchweather.camera.night.lamps import Lamp, Night
     from torchweather.camera.rgb import AsBayer
@@ -54,9 +55,13 @@ __all__ = [
     "RandomRain",
     "RandomSnow",
     "RandomWeather",
+    "RoadSpray",
     "Snow",
+    "SnowCover",
     "Uniform",
     "WeatherDataset",
+    "WetRoad",
+    "WetWindow",
     "__version__",
 ]
 
@@ -84,6 +89,7 @@ _HOMES = {
         "RadarMapWeather",
         "RadarResult",
     ),
+    "torchweather.atmosphere.conditions": ("RoadSpray", "SnowCover", "WetRoad", "WetWindow"),
     "torchweather.atmosphere.weather": ("Fog", "Mixture", "Rain", "Snow"),
 }
 # Parts of the library that `torchweather.<part>` reaches without an import of its own.

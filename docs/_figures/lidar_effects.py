@@ -16,6 +16,7 @@ from typing import Any
 
 import lidar_pictures
 import lidar_structure
+import lidar_surfaces
 from effect_command import parsed, write_all
 from effect_panels import Picture, draw
 from lidar_frames import Beams, Frames, beams_of, frames_of
@@ -23,7 +24,7 @@ from matplotlib.figure import Figure
 
 from torchweather.atmosphere.weather import Weather
 
-PICTURES: dict[str, Picture] = {**lidar_pictures.PICTURES, **lidar_structure.PICTURES}
+PICTURES: dict[str, Picture] = {**lidar_pictures.PICTURES, **lidar_structure.PICTURES, **lidar_surfaces.PICTURES}
 FINE_FRAMES, COLOURS = 4, 64
 
 

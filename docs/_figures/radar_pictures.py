@@ -172,4 +172,19 @@ PICTURES: dict[str, Picture] = {
         scene="few",
         legend=(1, "upper left"),
     ),
+    "radar.road_spray": Picture(
+        RAIN,
+        ({"water_g_per_m": 20.0}, {"water_g_per_m": 200.0}),
+        (
+            ratio_by_range,
+            Lines(
+                partial(more_by_range, edges=bins(0, 20, 1)),
+                "range of the detection, m",
+                "detections per m",
+                steps=True,
+                zero=True,
+            ),
+        ),
+        legend=(0, "lower left"),
+    ),
 }
