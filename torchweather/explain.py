@@ -89,6 +89,10 @@ def explain(
     """
     if isinstance(weather, str):
         weather = parse_weather(weather)
+    if not weather.parts:
+        raise InputValueError(
+            f"explain: expected rain, fog or snow, whose particles it explains; got {weather!r}. Add e.g. rain:rate=5."
+        )
     name, sensor = sensor_preset(sensor) if isinstance(sensor, str) else (sensor.kind, sensor)
     parts = [(part, _distribution(part)) for part in weather.parts]
     # Nothing scatters where nothing falls, and an empty distribution has no sizes to integrate over.

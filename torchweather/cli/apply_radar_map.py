@@ -226,7 +226,8 @@ def _options(args: argparse.Namespace, recipe: TransformRecipe | None) -> dict[s
 def _words(weather: Weather) -> str:
     """The weather, for a heading."""
     unit = {"rate_mm_per_h": "mm/h", "mor_m": "m"}
-    return ", ".join(f"{part.kind} {float(part.intensity):g} {unit[part.intensity_name]}" for part in weather.parts)
+    words = [f"{part.kind} {float(part.intensity):g} {unit[part.intensity_name]}" for part in weather.parts]
+    return ", ".join([*words, *(one.kind for one in weather.conditions)])
 
 
 def _files(inputs: list[Path]) -> list[Path]:

@@ -43,7 +43,7 @@ def _scaled(weather: Weather, factor: float) -> Weather:
             else min(intensity * factor, max(intensity, HIGHEST_MM_PER_H[part.kind]))
         )
         parts.append(replace(part, **{part.intensity_name: value}))  # type: ignore[type-var]
-    return parts[0] if len(parts) == 1 else Mixture(*parts)
+    return parts[0] if len(parts) == 1 and not weather.conditions else Mixture(*parts, *weather.conditions)
 
 
 def preview_image(

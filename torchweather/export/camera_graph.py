@@ -18,7 +18,7 @@ from torchweather.camera.transform import BayerWeather
 from torchweather.core.errors import InputValueError
 from torchweather.core.random import draw_variates, sizes_of
 from torchweather.export.metadata import described, sections_of
-from torchweather.export.traceable import GraphForm, GraphSizes, Traceable, variates_of
+from torchweather.export.traceable import GraphForm, GraphSizes, Traceable, refuse_what_follows_rain, variates_of
 
 __all__ = ["BAYER_FORM", "IMAGE_OUTPUTS", "RGB_FORM", "traceable_camera"]
 
@@ -45,7 +45,8 @@ def traceable_camera(transform: BayerWeather | AsBayer, height: int, width: int,
                 "got True. Take its transform, whose graph takes the mosaic, or leave through_mosaic out."
             )
         image, transform = "rgb", transform.transform
-    device = next(transform.buffers()).device
+    refuse_what_follows_rain(transform)
+    device = next(iter(transform.buffers()), torch.empty(0)).device
     graph = _CameraGraph(transform, image, masks=masks).to(device)
     arguments, shapes, names = _example(graph, height, width, device)
     outputs, sections = [IMAGE_OUTPUTS[image]], (SECTION, *sections_of(transform.weather))

@@ -16,6 +16,7 @@ from torchweather.export.traceable import (
     PointGraph,
     Traceable,
     intensity_inputs,
+    refuse_what_follows_rain,
     without_samples,
 )
 from torchweather.lidar.stages import Extinction, ParticleReturns
@@ -119,6 +120,7 @@ class _Weathered(nn.Module):
 
 def _for_any_cloud(transform: LidarWeather) -> LidarWeather:
     """The transform without what fits one cloud alone: directions, number of columns, an intensity for each sample."""
+    refuse_what_follows_rain(transform)
     fits_any = without_samples(transform)
     fits_any.sensor = replace(transform.sensor, directions=None, columns=None)
     return fits_any

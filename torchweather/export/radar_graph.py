@@ -15,6 +15,7 @@ from torchweather.export.traceable import (
     PointGraph,
     Traceable,
     intensity_inputs,
+    refuse_what_follows_rain,
     without_samples,
 )
 from torchweather.radar import RangeDopplerMap
@@ -45,6 +46,7 @@ def traceable_radar(transform: RadarAttenuation, points: int, columns: int) -> T
             f'to_onnx: {type(transform).__name__}(lost="drop") gives as many detections as are left, which no graph '
             'can say beforehand. Export lost="zero" or "nan" and leave out the rows whose kind is 2.'
         )
+    refuse_what_follows_rain(transform)
     graph = _RadarGraph(_Weathered(without_samples(transform)), transform.chain, _intensities(transform))
     batch, count = torch.export.Dim("batch", min=1), torch.export.Dim("points", min=1)
     device = next(transform.buffers()).device

@@ -10,7 +10,9 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor, nn
 
+from torchweather.atmosphere.conditions import Condition
 from torchweather.atmosphere.weather import Mixture, Weather
+from torchweather.core.errors import InputValueError
 from torchweather.core.random import Variate, draw_variates
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.sensor_transform import WeatherTransform
@@ -23,6 +25,7 @@ __all__ = [
     "Traceable",
     "intensity_inputs",
     "variates_of",
+    "refuse_what_follows_rain",
     "without_samples",
 ]
 
@@ -130,9 +133,25 @@ T = TypeVar("T", bound=WeatherTransform)
 
 def without_samples(transform: T) -> T:
     """The transform without an intensity for each sample, which would fit one number of samples alone."""
-    fits_any, parts = copy(transform), transform.weather.parts
-    fits_any.weather = Mixture(*(replace(part, **{part.intensity_name: 1.0}) for part in parts))  # type: ignore[type-var]
+    fits_any, weather = copy(transform), transform.weather
+    parts = [replace(part, **{part.intensity_name: 1.0}) for part in weather.parts]  # type: ignore[type-var]
+    fits_any.weather = Mixture(*parts, *weather.conditions)
     return fits_any
+
+
+def refuse_what_follows_rain(transform: WeatherTransform) -> None:
+    """Raise where water on things follows from a rain whose rate is an input of the graph.
+
+    Raises:
+        InputValueError: it does.
+    """
+    for one in transform.weather.conditions:
+        if isinstance(one, Condition) and one.follows_rain:
+            name = type(one).__name__
+            raise InputValueError(
+                f"{type(transform).__name__}: the rate is an input of the graph, and {name} follows from it when the "
+                f"transform is built. Give {name}({one.rain_field}=...), or leave it out of what is exported."
+            )
 
 
 def intensity_inputs(parts: Sequence[Weather]) -> dict[str, str]:

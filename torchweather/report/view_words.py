@@ -28,6 +28,7 @@ def weather_words(weather: Weather) -> str:
                 yield f"fog of {_number(values['mor_m'])} m visibility"
             else:
                 yield f"{part.kind} of {_number(values['rate_mm_per_h'])} mm/h"
+        yield from (one.kind.replace("-", " ") for one in weather.conditions)
 
     return " and ".join(words())
 

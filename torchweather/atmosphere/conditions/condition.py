@@ -28,10 +28,12 @@ class Condition(Weather):
         intensity_name: field that is the amount; at 0 the condition does nothing.
         ranges: field name to the values that it takes.
         aliases: short names of fields that the command line takes.
+        rain_field: field that is ``None`` where the rain of the mixture gives its value; empty where there is none.
     """
 
     ranges: ClassVar[Mapping[str, Range]] = {}
     aliases: ClassVar[Mapping[str, str]] = {}
+    rain_field: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         if self._ends_are_good():
@@ -52,6 +54,11 @@ class Condition(Weather):
     def conditions(self) -> tuple[Weather, ...]:
         """The condition itself."""
         return (self,)
+
+    @property
+    def follows_rain(self) -> bool:
+        """Whether its values follow from the rain of the mixture."""
+        return bool(self.rain_field) and getattr(self, self.rain_field) is None
 
     @property
     def is_nothing(self) -> bool:

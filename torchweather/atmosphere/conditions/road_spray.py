@@ -46,6 +46,7 @@ class RoadSpray(Condition):
 
     kind: ClassVar[str] = "road-spray"
     intensity_name: ClassVar[str] = "speed_m_per_s"
+    rain_field: ClassVar[str] = "water_mm"
     ranges: ClassVar[Mapping[str, Range]] = {
         "speed_m_per_s": between(*SPEED_M_PER_S, "m/s"),
         "distance_m": between(2.0, 150.0, "m"),

@@ -40,6 +40,7 @@ class WetRoad(Condition):
 
     kind: ClassVar[str] = "wet-road"
     intensity_name: ClassVar[str] = "water_mm"
+    rain_field: ClassVar[str] = "water_mm"
     ranges: ClassVar[Mapping[str, Range]] = {
         "water_mm": between(0.0, 10.0, "mm", advice="Aquaplaning begins near 3 mm over the texture."),
         "puddles": between(0.0, 2.0),

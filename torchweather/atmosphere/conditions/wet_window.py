@@ -42,6 +42,7 @@ class WetWindow(Condition):
 
     kind: ClassVar[str] = "wet-window"
     intensity_name: ClassVar[str] = "wetness"
+    rain_field: ClassVar[str] = "rain_mm_per_h"
     ranges: ClassVar[Mapping[str, Range]] = {
         "wetness": between(0.0, 2.0),
         "speed_m_per_s": between(0.0, 70.0, "m/s"),

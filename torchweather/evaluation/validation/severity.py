@@ -96,7 +96,8 @@ def weather_label(weather: Weather | None) -> str:
     """
     if weather is None:
         return "clear"
-    return " + ".join(f"{part.kind} {knob_value(part):g} {UNITS[part.intensity_name]}" for part in weather.parts)
+    words = [f"{part.kind} {knob_value(part):g} {UNITS[part.intensity_name]}" for part in weather.parts]
+    return " + ".join([*words, *(one.kind for one in weather.conditions)])
 
 
 def compared_trends(
