@@ -84,7 +84,8 @@ class LidarSurfaceNormals(Stage):
         if state.scene.up is not None and state.scene.cos_incidence is not None:
             return state
         if state.scene.grid is not None:
-            normal = grid_normals(place.unflatten(1, state.scene.grid), range_m.unflatten(1, state.scene.grid))
+            batch, grid = len(range_m), state.scene.grid
+            normal = grid_normals(place.reshape(batch, *grid, 3), range_m.reshape(batch, *grid))
             normal = normal.flatten(1, 2)
             up = normal[..., 2]
             cosine = (normal * place).sum(-1).abs() / range_m.clamp_min(1e-3)

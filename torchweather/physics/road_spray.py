@@ -57,7 +57,7 @@ def spray_water_kg_per_m(speed_m_per_s: float, water_mm: float, tyre_m: float = 
     check_between("speed_m_per_s", speed_m_per_s, *SPEED_M_PER_S, unit="m/s", owner=owner)
     check_between("water_mm", water_mm, *WATER_MM, unit="mm", owner=owner)
     check_between("tyre_m", tyre_m, *TYRE_M, unit="m", owner=owner)
-    share = SHARE * (speed_m_per_s / SHARE_AT_M_PER_S) ** SHARE_POWER
+    share: float = SHARE * (speed_m_per_s / SHARE_AT_M_PER_S) ** SHARE_POWER
     return WATER_KG_PER_M3 * tyre_m * 1e-3 * water_mm * share
 
 

@@ -147,7 +147,8 @@ class CameraRefractingDrops(Effect):
         camera = state.receiver.camera
         assert camera is not None
         fx, fy, cx, cy = intrinsics
-        x, y = torch.broadcast_tensors((columns - cx) / fx, (rows - cy) / fy)
+        size = (len(rows), columns.shape[1])
+        x, y = ((columns - cx) / fx).expand(size), ((rows - cy) / fy).expand(size)
         return camera.undistort(x, y) if camera.distorted else (x, y)
 
     def _seen(
@@ -206,7 +207,7 @@ def refracted(
     inner.append((1.0 - inner[0].square() - inner[1].square()).sqrt())
     outward = [steep * u, steep * v]
     outward.append((1.0 - outward[0].square() - outward[1].square()).clamp_min(1e-12).sqrt())
-    cosine = sum(one * other for one, other in zip(inner, outward, strict=True))
+    cosine = inner[0] * outward[0] + inner[1] * outward[1] + inner[2] * outward[2]
     square = 1.0 - WATER_INDEX**2 * (1.0 - cosine.square())
     leaves = square.clamp_min(1e-12).sqrt()
     turned = leaves - WATER_INDEX * cosine
