@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.effects.optics import LARGEST_TO_SMALLEST
+from torchweather.camera.mosaic_blur import phases, spacing_px, whole
 from torchweather.camera.state import CameraState
 from torchweather.core.errors import InputValueError
 from torchweather.core.random import Variate
@@ -19,6 +20,8 @@ from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["CameraRefractingDrops", "refracted"]
 
+MOST_REACH = 15  # of the means of what a drop shows, in pixels of one colour
+BETWEEN_POINTS = 0.43  # of the aperture's radius lies between its points, which the mean over it smooths away
 LEAST_BLUR_PX = 0.25  # radius of an aperture that blurs
 DROPS = 96  # on the window; order of magnitude
 # Points of the aperture through which a pixel sees the window, in a disk of radius 1: the middle and two rings.
@@ -93,39 +96,59 @@ class CameraRefractingDrops(Effect):
             self.value(name, signal).reshape(-1).expand(state.batch) for name in ("cover", "blur_px", "contact_deg")
         )
         intrinsics = state.scene.intrinsics.to(signal).expand(state.batch, 4)
+        apart = spacing_px(state)
         frames = []
         for sample in range(state.batch):
             found = signal[sample]
             if float(cover[sample]) > 0.0:
-                where = (drops[sample], cover[sample], 0.5 * blur[sample], torch.deg2rad(contact[sample]))
+                small = self._scene(
+                    signal[sample : sample + 1], intrinsics[sample], cover[sample], contact[sample], apart
+                )
+                where = (small, drops[sample], cover[sample], 0.5 * blur[sample], torch.deg2rad(contact[sample]))
                 found = self._behind(state, found, intrinsics[sample], *where)
             frames.append(found)
         return {"signal": torch.stack(frames)}
+
+    def _scene(self, frame: Tensor, intrinsics: Tensor, cover: Tensor, contact_deg: Tensor, apart: int) -> Tensor:
+        """The frame ``(C, H, W)`` as small as a drop of mean size shows it: means over what falls on a pixel."""
+        height, width = frame.shape[-2:]
+        radius = math.sqrt(-math.log1p(-float(cover)) * height * width / DROPS / math.pi)
+        steep = math.sin(math.radians(float(contact_deg)))
+        smaller = (WATER_INDEX - 1.0) * steep * float(intrinsics[0]) / radius
+        reach = min(round(0.5 * smaller / apart), MOST_REACH, min(height, width) // (2 * apart) - 1)
+        if reach < 1:
+            return frame[0]
+        pooled = torch.nn.functional.avg_pool2d(phases(frame, apart), 2 * reach + 1, 1, reach, count_include_pad=False)
+        return whole(pooled, apart)[0]
 
     def _behind(
         self,
         state: CameraState,
         frame: Tensor,
         intrinsics: Tensor,
+        scene: Tensor,
         drops: Tensor,
         cover: Tensor,
         blur_px: Tensor,
         contact_rad: Tensor,
     ) -> Tensor:
-        """One frame ``(C, H, W)`` behind its drops; ``blur_px`` is a radius."""
+        """One frame ``(C, H, W)`` behind drops that show a scene; ``blur_px`` is a radius."""
         height, width = frame.shape[-2:]
         area = LARGEST_TO_SMALLEST ** drops[:, 2]
         radius = (-torch.log1p(-cover) * (height * width) * area / area.sum() / math.pi).sqrt()
         steep = torch.sin(contact_rad)
         points = APERTURE if float(blur_px) > LEAST_BLUR_PX else APERTURE[:1]
         aperture = frame.new_tensor(points)[:, None]  # (points, 1, 2)
+        apart = spacing_px(state)
+        soft = round(float(blur_px) * BETWEEN_POINTS / (2 * apart)) if len(points) > 1 else 0
         out, free = frame.clone(), torch.ones_like(frame[:1])
         for number in range(DROPS):
             size = float(radius[number])
             column, row = float(drops[number, 0]) * width, float(drops[number, 1]) * height
-            reach = size + float(blur_px)
-            top, bottom = max(0, math.ceil(row - reach)), min(height, math.floor(row + reach) + 1)
-            left, right = max(0, math.ceil(column - reach)), min(width, math.floor(column + reach) + 1)
+            reach = size + float(blur_px) + apart * soft
+            # Whole cells of the mosaic.
+            top, bottom = max(0, int(row - reach) // 2 * 2), min(height, int(row + reach) // 2 * 2 + 2)
+            left, right = max(0, int(column - reach) // 2 * 2), min(width, int(column + reach) // 2 * 2 + 2)
             if top >= bottom or left >= right:
                 continue
             box = (slice(None), slice(top, bottom), slice(left, right))
@@ -135,8 +158,8 @@ class CameraRefractingDrops(Effect):
             u = ((columns + aperture[..., :1] * blur_px - column) / size).expand(-1, len(rows), -1)
             v = ((rows + aperture[..., 1:] * blur_px - row) / size).expand(-1, -1, columns.shape[1])
             inside = (u.square() + v.square() < 1.0).to(frame) / len(aperture)
-            seen = self._seen(state, frame, intrinsics, rows, columns, ray, (u, v), steep)
-            share, shown = inside.sum(0, keepdim=True), (inside * seen).sum(1)
+            seen = self._seen(state, scene, intrinsics, rows, columns, ray, (u, v), steep)
+            share, shown = (_soft(one, soft, apart) for one in (inside.sum(0, keepdim=True), (inside * seen).sum(1)))
             kept = (free[box] / share.clamp_min(1e-9)).clamp_max(1.0)  # drops that overlap share the aperture
             out[box] = out[box] + kept * (shown - share * frame[box])
             free[box] = (free[box] - share).clamp_min(0.0)
@@ -180,6 +203,14 @@ class CameraRefractingDrops(Effect):
         near_column = (2 * ((column - aside) / 2).round().long() + aside).clamp(max=width - 2 + aside)
         near_row = (2 * ((row - down) / 2).round().long() + down).clamp(max=height - 2 + down)
         return through * frame[:, near_row, near_column]
+
+
+def _soft(image: Tensor, reach: int, apart: int) -> Tensor:
+    """Means of a part of a frame ``(C, h, w)`` over so many pixels of its own colour to every side."""
+    if not reach:
+        return image
+    planes = phases(image[None], apart)
+    return whole(torch.nn.functional.avg_pool2d(planes, 2 * reach + 1, 1, reach), apart)[0]
 
 
 def refracted(
