@@ -20,8 +20,8 @@ from torchweather.core.precision import outside_autocast
 from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
 from torchweather.lidar.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
 from torchweather.lidar.clouds import check_points
-from torchweather.lidar.doppler import RadialSpeed
 from torchweather.lidar.conditions import lidar_conditions
+from torchweather.lidar.doppler import RadialSpeed
 from torchweather.lidar.expected_detection import expected_detection
 from torchweather.lidar.frame_check import warn_of_frame
 from torchweather.lidar.intensity import are_integers, borrowed_intensity, zero_intensity
