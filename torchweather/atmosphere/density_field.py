@@ -206,7 +206,7 @@ def _interpolated(flat: Tensor, azimuth_rad: Tensor, range_m: Tensor, step_m: fl
     turn = ((azimuth_rad + math.pi) * (AZIMUTHS / (2.0 * math.pi))).clamp(0.0, float(AZIMUTHS))
     out = (range_m / step_m).clamp(0.0, NODES - 1.0)
     column, row = turn.detach().floor().clamp_max(AZIMUTHS - 1), out.detach().floor().clamp_max(NODES - 2)
-    at, flat = (column * NODES + row).to(torch.int64) + first, flat.to(out.dtype)
+    at, flat = (column * NODES + row).to(torch.int64) + first, flat.to(out)
     near = torch.lerp(flat.gather(-1, at), flat.gather(-1, at + NODES), turn - column)
     far = torch.lerp(flat.gather(-1, at + 1), flat.gather(-1, at + NODES + 1), turn - column)
     return torch.lerp(near, far, out - row)
