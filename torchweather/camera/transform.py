@@ -22,7 +22,7 @@ from torchweather.camera.exposure import ExposureControl, as_exposure_control
 from torchweather.camera.fog import ExtinctionAndAirlight, Quantise
 from torchweather.camera.levels import check_bayer, raw_from_linear, raw_to_linear
 from torchweather.camera.night.lamps import Night, as_night
-from torchweather.camera.night.stages import LampVeil, NightLamps
+from torchweather.camera.night.stages import LampVeil, NightLamps, OwnLight
 from torchweather.camera.options import RENAMED, CameraOptions
 from torchweather.camera.overcast_sky import OvercastSky
 from torchweather.camera.particles.veil import ParticleVeil
@@ -225,13 +225,14 @@ class BayerWeather(WeatherTransform):
                 variant=variant,
             )
         by_night = None if night is None else as_night(night, self)
-        if by_night is not None:
-            lamps = NightLamps(by_night, weather.parts, tuple(camera.bands.values()), far_m)
-            lit: dict[str, Stage] = {"night_lamps": lamps}
+        if by_night is not None and fogs:
+            lit: dict[str, Stage] = {}
             for name, stage in stages.items():
-                lit[name] = stage
                 if name == "extinction_and_airlight":
-                    lit["lamp_veil"] = LampVeil()
+                    own_light = OwnLight(fogs[0], by_night.saturation_cd_per_m2)
+                    lit |= {"own_light": own_light, name: stage, "lamp_veil": LampVeil()}
+                else:
+                    lit[name] = stage
             stages = lit
         conditions = camera_conditions(weather, camera, airlight)
         meter: dict[str, Stage] = {}
@@ -246,6 +247,9 @@ class BayerWeather(WeatherTransform):
         chain = with_conditions(Chain(stages), effects, conditions, self)
         if meter and conditions.effects:
             chain = Chain({**meter, **chain.stages})
+        if by_night is not None:  # in front of all, so that a wet road mirrors its lamps
+            lamps = NightLamps(by_night, weather.parts, tuple(camera.bands.values()), far_m)
+            chain = Chain({"night_lamps": lamps, **chain.stages})
         self.chain = chain
         self.as_built = AsBuilt.of(self.chain)
         self._rays: dict[tuple[Any, ...], Rays] = {}

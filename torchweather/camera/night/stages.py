@@ -1,4 +1,4 @@
-"""NightLamps and LampVeil: the lamps of a night scene, and their light on the fog."""
+"""NightLamps, OwnLight and LampVeil: the lamps of a night scene, and their light on surfaces and fog."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from torchweather.camera.night.lamp_light import FogOptics, LampLight, fog_optic
 from torchweather.camera.night.lamps import FIND, Night, as_night
 from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, TorchweatherWarning
+from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_positive
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
 from torchweather.pipeline.tiling import is_exporting
 
-__all__ = ["DAY_ABOVE", "LampVeil", "NightLamps"]
+__all__ = ["DAY_ABOVE", "LampVeil", "NightLamps", "OwnLight"]
 
 DAY_ABOVE = 0.15  # of saturation, mean of a frame: a night frame is darker, its lamps included
 SURFACE_ALBEDO = 0.15  # of a street, to tell how much of a surface's light comes from the own headlamps
@@ -33,10 +33,13 @@ class NightLamps(Stage):
     """Lamps of a night scene, before any weather: which there are, how bright beyond saturation, what they light.
 
     A lamp saturates the frame: the light beyond it is taken from its intensity. In fog it fades from there, and its
-    glow is that light, scattered onward (``multiple_scattering.py``). What the own headlamps light fades on the way
-    from them as well; the share of a surface's light that is theirs is what a surface of albedo 0.15 would show of it.
+    glow is that light, scattered onward (``multiple_scattering.py``).
 
-    Identity: it changes no pixel without fog.
+    Identity: it changes no pixel.
+
+    Note:
+        It stands in front of effects of the scene, so that a wet road mirrors its lamps. What
+        ``camera.extinction_scale`` changes reaches the fog, and not the light of lamps on it.
 
     Args:
         night: lamps and exposure, or its dictionary.
@@ -48,14 +51,12 @@ class NightLamps(Stage):
     default_name: ClassVar[str] = "night_lamps"
     reads: ClassVar[tuple[str, ...]] = (
         *("scene.depth_m", "scene.sky"),
-        "air.extinction_scale",
         "image.signal",
         *("receiver.camera", "receiver.cfa_index"),
     )
     writes: ClassVar[tuple[str, ...]] = (
         *("scene.depth_m", "scene.sky"),
         *("air.lamp_excess", "air.lamp_light"),
-        "image.signal",
     )
 
     def __init__(
@@ -123,9 +124,7 @@ class NightLamps(Stage):
                 )
             )
         light = _on_device(stacked(lights), state.image.signal)
-        return state.changed(
-            signal=self._own_light_fades(state, light), depth_m=depth_m, sky=sky, lamp_excess=excess, lamp_light=light
-        )
+        return state.changed(depth_m=depth_m, sky=sky, lamp_excess=excess, lamp_light=light)
 
     def _lamps(self, state: CameraState, sample: int) -> tuple[list[LampInView], list[Any]]:
         """Lamps of others in the picture, and those outside of it."""
@@ -172,23 +171,9 @@ class NightLamps(Stage):
         mor_m = self.fog.mor_m.reshape(-1)
         own_m = float(mor_m[min(sample, len(mor_m) - 1)].detach())
         extinction = self.fog.extinction_per_m(state.batch)[sample, FADING_COLOUR].detach()
-        if state.air.extinction_scale is not None:
-            extinction = extinction * state.air.extinction_scale[sample, FADING_COLOUR].detach()
         if not float(extinction) > 0.0:
             return None
         return fog_optics(self.fog.weather, own_m, float(extinction), self.wavelengths_nm[FADING_COLOUR])
-
-    def _own_light_fades(self, state: CameraState, light: LampLight) -> Tensor:
-        """The scene, as far as the own headlamps light it weaker by the fog between them and it."""
-        if self.fog is None or not self.night.own_lamps:
-            return state.image.signal
-        lux = light.seen(light.on_surface, state.scene.depth_m.to(state.image.signal))
-        fade = light.seen(light.own_fade, state.scene.depth_m.to(state.image.signal))
-        shown = lux * (SURFACE_ALBEDO / torch.pi / self.night.saturation_cd_per_m2)
-        share = (shown / state.image.signal.clamp_min(1e-6)).clamp(0.0, 1.0)
-        share = torch.where(torch.isfinite(state.scene.depth_m), share, 0.0)
-        foggy = torch.isfinite(self.fog.mor_m).reshape(-1, 1, 1, 1)  # elsewhere the frame keeps its own bits
-        return torch.where(foggy, state.image.signal * (1.0 - share * (1.0 - fade)), state.image.signal)
 
     def _warn_of_day(self, state: CameraState) -> None:
         mean = frame_mean(state).mean(1)
@@ -204,6 +189,52 @@ class NightLamps(Stage):
 def _on_device(light: LampLight, like: Tensor) -> LampLight:
     names = ("fog", "drop", "flake", "on_surface", "own_fade", "colour")
     return LampLight(**{name: getattr(light, name).to(like.device) for name in names}, far_m=light.far_m)
+
+
+@register
+class OwnLight(Stage):
+    """Surfaces in the light of the own headlamps: darker by the fog between the headlamps and them.
+
+    The share of a surface's light that is theirs is what a surface of albedo 0.15 would show of it, up to all of it.
+
+    Identity: no fog.
+
+    Args:
+        fog: or its dictionary.
+        saturation_cd_per_m2: luminance that saturates the camera.
+    """
+
+    default_name: ClassVar[str] = "own_light"
+    reads: ClassVar[tuple[str, ...]] = ("scene.depth_m", "air.lamp_light", "image.signal")
+    writes: ClassVar[tuple[str, ...]] = ("image.signal",)
+    mor_m: Tensor
+
+    def __init__(self, fog: Fog | Mapping[str, Any], saturation_cd_per_m2: float) -> None:
+        check_arguments("OwnLight(fog: Fog | Mapping, saturation_cd_per_m2: float)", fog, saturation_cd_per_m2)
+        super().__init__()
+        check_positive("saturation_cd_per_m2", saturation_cd_per_m2, unit="cd/m2", owner=self)
+        given = fog if isinstance(fog, Weather) else weather_from_dict(fog)
+        if not isinstance(given, Fog):
+            raise InputTypeError(f"OwnLight: fog must be Fog; got {type(given).__name__}.")
+        self.fog, self.saturation_cd_per_m2 = given, float(saturation_cd_per_m2)
+        self.register_buffer("mor_m", torch.as_tensor(given.mor_m, dtype=torch.float32))
+
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments."""
+        return {"fog": self.fog.to_dict(), "saturation_cd_per_m2": self.saturation_cd_per_m2}
+
+    def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
+        """The scene as the own headlamps light it through the fog."""
+        light = state.air.lamp_light
+        if light is None:
+            return state
+        depth_m = state.scene.depth_m.to(state.image.signal)
+        shown = light.seen(light.on_surface, depth_m) * (SURFACE_ALBEDO / torch.pi / self.saturation_cd_per_m2)
+        share = (shown / state.image.signal.clamp_min(1e-6)).clamp(0.0, 1.0)
+        share = torch.where(torch.isfinite(depth_m), share, 0.0)
+        lit = state.image.signal * (1.0 - share * (1.0 - light.seen(light.own_fade, depth_m)))
+        foggy = torch.isfinite(self.mor_m).reshape(-1, 1, 1, 1)  # elsewhere the frame keeps its own bits
+        return state.changed(signal=torch.where(foggy, lit, state.image.signal))
 
 
 @register
