@@ -119,6 +119,7 @@ class CameraSkyLight(Stage):
     default_name: ClassVar[str] = "sky_light"
     reads: ClassVar[tuple[str, ...]] = (
         *("scene.depth_m", "scene.sine_elevation", "scene.sky"),
+        "air.lamp_light",
         *("image.signal", "receiver.cfa_index"),
     )
     writes: ClassVar[tuple[str, ...]] = ("air.skylight",)

@@ -54,7 +54,7 @@ class CameraRoadSpray(Effect):
     reads: ClassVar[tuple[str, ...]] = (
         *("scene.depth_m", "scene.intrinsics", "scene.near_mask", "scene.ray_per_depth"),
         *("scene.sine_elevation", "scene.sky"),
-        *("air.airlight", "air.skylight"),
+        *("air.airlight", "air.lamp_light", "air.skylight"),
         "image.signal",
         *("receiver.camera", "receiver.cfa_index"),
     )

@@ -60,7 +60,7 @@ class CameraSnowCover(Effect):
     reads: ClassVar[tuple[str, ...]] = (
         *("scene.depth_m", "scene.intrinsics", "scene.near_mask", "scene.normal", "scene.ray_per_depth"),
         *("scene.sine_elevation", "scene.sky"),
-        "air.skylight",
+        *("air.lamp_light", "air.skylight"),
         "image.signal",
         *("receiver.camera", "receiver.cfa_index"),
     )
