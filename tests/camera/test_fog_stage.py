@@ -162,9 +162,9 @@ def test_without_a_sky_the_brightest_spot_stands_in_and_a_warning_says_so(rows: 
     assert result.airlight.tolist() == pytest.approx([0.9] * 3, rel=1e-5)
 
 
-def test_night_is_not_modelled_and_a_warning_says_so() -> None:
+def test_a_night_taken_for_day_is_warned_of() -> None:
     scene, depth_m = scene_with_sky(slice(0, 12))
-    with pytest.warns(TorchweatherWarning, match=r"night and artificial light are not modelled"):
+    with pytest.warns(TorchweatherWarning, match=r"this looks like night\. Give night=True"):
         BayerFog(Fog(50.0), camera_of())(0.01 * scene, depth_m)
 
 

@@ -223,7 +223,7 @@ _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "Quantity": ("a number or a tensor of real numbers", _is_quantity),
     "Nested": (
         "a tensor, an array or nested sequences of real numbers",
-        lambda value: not _is_number(value) and _is_quantity(value),
+        lambda value: _is_quantity(value) and nested_shape(value) != (),
     ),
     "int": ("a whole number", _is_whole),
     "bool": ("True or False", lambda value: isinstance(value, (bool, np.bool_))),

@@ -30,7 +30,7 @@ def radar_conditions(weather: Weather, sensor: Radar) -> OfConditions:
         >>> weather = Mixture(Rain(25), WetWindow(speed_m_per_s=20))
         >>> ((_, effect),) = radar_conditions(weather, Radar()).effects
         >>> effect.id, round(float(effect.loss_db), 1)
-        ('radar.wet_radome', 8.0)
+        ('radar.wet_radome', 9.1)
     """
     effects: list[tuple[Weather, Effect]] = []
     window = condition_of(weather, WetWindow)

@@ -13,7 +13,7 @@ from torchweather.pipeline.effect import Effect
 from torchweather.stages import EFFECTS
 
 PLACES = (-2.0, 0.5)
-NAMES = sorted(name for name in LIDAR_EFFECTS if name.startswith("lidar."))
+NAMES = sorted(name for name, effect in LIDAR_EFFECTS.items() if name.startswith("lidar.") and effect.searched)
 
 
 def varied(grid: ParameterGrid) -> list[str]:

@@ -36,8 +36,8 @@ MUTANTS = (
         "water_on_walls",
         "the road is level ground: walls and roofs are none",
         "torchweather.camera.surfaces",
-        "return (near & level & ",
-        "return (",
+        "torch.where(state.scene.depth_m < FARTHEST_M, near * level, 0.0)",
+        "torch.where(state.scene.depth_m < FARTHEST_M, near, 0.0)",
         (f"{CONDITIONS}::test_only_level_ground_is_road",),
     ),
     Mutant(

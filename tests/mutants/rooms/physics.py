@@ -135,8 +135,8 @@ MUTANTS = (
         "snow_mixture_without_two",
         "Maxwell Garnett's rule has 1 + 2 y in its numerator",
         REFRACTIVE_INDEX,
-        "return around * (1.0 + 2.0 * y) / (1.0 - y)",
-        "return around * (1.0 + y) / (1.0 - y)",
+        "around * (1.0 + 2.0 * y) / (1.0 - y)",
+        "around * (1.0 + y) / (1.0 - y)",
         ("tests/physics/test_wet_snow.py::test_index_runs_from_dry_snow_to_water_at_the_melting_point",),
     ),
     Mutant(

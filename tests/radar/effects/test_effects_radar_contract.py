@@ -419,6 +419,7 @@ def test_effects_are_exported_with_the_chain(tmp_path: Path) -> None:
     settings: dict[str, dict[str, float]] = {
         "radar.detection_limit": {"max_count": 30.0},
         "radar.interference": {"level_db": 2.0},
+        "radar.road_spray": {"water_g_per_m": 40.0},  # through which targets are seen
     }
     effects = [active(name, **settings.get(name, {})) for name in RADAR if name not in NOT_IN_A_GRAPH]
     transform = rain(effects=effects)
@@ -473,7 +474,7 @@ def test_all_effects_work_in_a_mixture_and_in_double_precision() -> None:
     result = transform.run(detections().double(), transform.draw(detections(), seed=1), **known())
     assert isinstance(result.points, Tensor)
     assert result.points.dtype == torch.float64
-    assert result.points.shape[-2] == 2 * TARGETS + 2 * 256
+    assert result.points.shape[-2] == 2 * TARGETS + 2 * 256 + 1  # the last is the spray
 
 
 @pytest.mark.gpu

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import CONDITIONS, Rain, Weather
+from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import Distribution
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputTypeError, InputValueError
 from torchweather.core.fields import Range
 
 __all__ = ["CONDITIONS", "Amount", "Condition", "condition_of", "rain_of", "register_condition"]
@@ -42,6 +43,7 @@ class Condition(Weather):
             value = getattr(self, name)
             if value is None and type(self).__dataclass_fields__[name].default is None:  # type: ignore[attr-defined]
                 continue
+            check_arguments(f"{type(self).__name__}({name}: float)", value)
             within.check(name, value, self)
             object.__setattr__(self, name, float(value))
 
@@ -81,6 +83,9 @@ def condition_of(weather: Weather, kind: type[C]) -> C | None:
         >>> condition_of(Mixture(Rain(5), WetRoad(water_mm=1)), WetRoad).water_mm
         1.0
     """
+    check_arguments("condition_of(weather: Weather)", weather)
+    if not isinstance(kind, type):
+        raise InputTypeError(f"condition_of: kind must be a class of a condition, such as WetRoad; got {kind!r:.100}.")
     return next((one for one in weather.conditions if isinstance(one, kind)), None)
 
 
@@ -100,6 +105,12 @@ def rain_of(weather: Weather, condition: Condition, field: str) -> Rain:
         >>> rain_of(Rain(25), WetRoad(), "water_mm").rate_mm_per_h
         25
     """
+    check_arguments(
+        "rain_of(weather: Weather, condition: Condition, field: str)",
+        weather,
+        condition,
+        field,
+    )
     rain = next((part for part in weather.parts if isinstance(part, Rain)), None)
     if rain is None:
         name = type(condition).__name__

@@ -97,11 +97,12 @@ class LampLight:
 
     def seen(self, values: Tensor, depth_m: Tensor) -> Tensor:
         """Values ``(B, C, K, h, w)`` at each pixel's depth ``(B, 1, H, W)``; ``(B, C, H, W)``."""
-        batch, _, height, width = depth_m.shape
+        height, width = depth_m.shape[-2:]
+        batch = max(len(values), len(depth_m))  # of each, or one for all
         across = torch.linspace(-1.0, 1.0, width, device=depth_m.device).to(depth_m)
         down = torch.linspace(-1.0, 1.0, height, device=depth_m.device).to(depth_m)
         place = self.place(depth_m)[:, 0] * (2.0 / (DEPTHS - 1)) - 1.0
-        grid = torch.stack([across.expand(batch, height, width), down[:, None].expand(batch, height, width), place], -1)
+        grid = torch.stack([one.expand(batch, height, width) for one in (across, down[:, None], place)], -1)
         volume = values.to(depth_m).expand(batch, *values.shape[1:])
         sampled: Tensor = torch.nn.functional.grid_sample(
             volume, grid[:, None], mode="bilinear", padding_mode="border", align_corners=True

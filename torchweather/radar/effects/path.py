@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import nested_shape
-from torchweather.core.errors import InputValueError
+from torchweather.core.errors import InputTypeError, InputValueError
 from torchweather.core.random import Variate
 from torchweather.physics import wet_cover_loss_db
 from torchweather.pipeline.effect import Effect, Parameter
@@ -180,7 +180,7 @@ class PerClass(Parameter):
         """The values within the bounds as float32; anything else is refused."""
         try:
             if nested_shape(value) is None:
-                raise TypeError("no numbers")
+                raise InputTypeError("no numbers")
             found = torch.as_tensor(value, dtype=torch.float32)
         except (TypeError, ValueError, RuntimeError, OverflowError) as error:
             raise InputValueError(
