@@ -43,8 +43,8 @@ class Condition(Weather):
             value = getattr(self, name)
             if value is None and type(self).__dataclass_fields__[name].default is None:  # type: ignore[attr-defined]
                 continue
-            check_arguments(f"{type(self).__name__}({name}: float)", value)
             within.check(name, value, self)
+            check_arguments(f"{type(self).__name__}({name}: float)", value)
             object.__setattr__(self, name, float(value))
 
     @property
