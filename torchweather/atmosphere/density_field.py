@@ -286,7 +286,15 @@ class PatchyAir(Stage):
 
     def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:
         """The state with the field."""
-        return state.changed(patches=self.field(noise))
+        device = _device_of(state)
+        return state.changed(patches=self.field({key: value.to(device) for key, value in noise.items()}))
+
+
+def _device_of(state: Any) -> torch.device | None:
+    """Where the tensors of a state are; ``None`` of one without tensors."""
+    parts = [part for part in vars(state).values() if hasattr(part, "__dict__")]
+    values = (value for part in parts for value in vars(part).values())
+    return next((value.device for value in values if isinstance(value, Tensor)), None)
 
 
 def patchy_air(weather: Weather, ego_speed_m_per_s: float = 0.0) -> dict[str, Stage]:
