@@ -8,15 +8,13 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.atmosphere.conditions.ground_noise import GROUND_VARIATE, ground_noise, uneven
+from torchweather.atmosphere.conditions.ground_noise import ground_noise, uneven
 from torchweather.camera.airlight import airlight_argument, given_or_estimated
 from torchweather.camera.fog import FARTHEST_M, rays
 from torchweather.camera.state import CameraState
-from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import check_between
-from torchweather.core.random import Variate
-from torchweather.physics.road_water import TEXTURE_MM, damp_share, drowned_share
+from torchweather.physics.road_water import damp_share, drowned_share
 from torchweather.pipeline.registry import register
+from torchweather.pipeline.road_water import RoadWater
 from torchweather.pipeline.stage import Stage
 
 __all__ = [
@@ -138,7 +136,7 @@ class CameraSkyLight(Stage):
 
 
 @register
-class CameraRoadWater(Stage):
+class CameraRoadWater(RoadWater):
     """Water on the road: which share of each pixel's surface is damp, and which lies under smooth water.
 
     Args:
@@ -147,31 +145,11 @@ class CameraRoadWater(Stage):
         log_std: spread of the logarithm of the depth over the road, 0 to 2.
     """
 
-    default_name: ClassVar[str] = "road_water"
-    of_the_air: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = (
         *("scene.depth_m", "scene.intrinsics", "scene.normal", "scene.ray_per_depth", "scene.sine_elevation"),
         *("image.signal", "receiver.camera"),
     )
     writes: ClassVar[tuple[str, ...]] = ("scene.damp", "scene.pool")
-    water_mm: Tensor
-
-    def __init__(self, water_mm: Any, texture_mm: float = 0.7, log_std: float = 0.0) -> None:
-        check_arguments("CameraRoadWater(texture_mm: float, log_std: float)", texture_mm, log_std)
-        super().__init__()
-        self.register_buffer("water_mm", torch.as_tensor(water_mm, dtype=torch.float32).reshape(-1))
-        check_between("water_mm", self.water_mm, 0.0, 10.0, unit="mm", owner=self)
-        check_between("texture_mm", texture_mm, *TEXTURE_MM, unit="mm", owner=self)
-        check_between("log_std", log_std, 0.0, 2.0, owner=self)
-        self.texture_mm, self.log_std = float(texture_mm), float(log_std)
-
-    def config(self) -> dict[str, Any]:
-        """Constructor arguments."""
-        return {"water_mm": self.water_mm.tolist(), "texture_mm": self.texture_mm, "log_std": self.log_std}
-
-    def variates(self) -> tuple[Variate, ...]:
-        """Where the water lies deeper; none where it is even."""
-        return (GROUND_VARIATE,) if self.log_std else ()
 
     def forward(self, state: CameraState, noise: Mapping[str, Tensor]) -> CameraState:
         """The state with the water."""

@@ -8,14 +8,13 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchweather.atmosphere.conditions.ground_noise import GROUND_VARIATE, ground_noise, uneven
-from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_between
-from torchweather.core.random import Variate
+from torchweather.atmosphere.conditions.ground_noise import ground_noise, uneven
+from torchweather.core.errors import InputValueError
 from torchweather.lidar.state import LidarState
 from torchweather.lidar.sweep.ground import fit_ground
-from torchweather.physics.road_water import TEXTURE_MM, damp_share, drowned_share
+from torchweather.physics.road_water import damp_share, drowned_share
 from torchweather.pipeline.registry import register
+from torchweather.pipeline.road_water import RoadWater
 from torchweather.pipeline.stage import Stage
 from torchweather.pipeline.tiling import is_exporting
 
@@ -132,7 +131,7 @@ def grid_normals(place: Tensor, range_m: Tensor) -> Tensor:
 
 
 @register
-class LidarRoadWater(Stage):
+class LidarRoadWater(RoadWater):
     """Water on the road: which share of what each beam meets is damp, and which lies under smooth water.
 
     The road is what lies near a plane that is fitted to the lowest returns of each cloud. Its normals are taken to
@@ -144,28 +143,8 @@ class LidarRoadWater(Stage):
         log_std: spread of the logarithm of the depth over the road, 0 to 2.
     """
 
-    default_name: ClassVar[str] = "road_water"
-    of_the_air: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = (*("scene.clear_range_m", "scene.cos_incidence", "scene.points_in", "scene.up"),)
     writes: ClassVar[tuple[str, ...]] = ("scene.cos_incidence", "scene.damp", "scene.pool", "scene.up")
-    water_mm: Tensor
-
-    def __init__(self, water_mm: Any, texture_mm: float = 0.7, log_std: float = 0.0) -> None:
-        check_arguments("LidarRoadWater(texture_mm: float, log_std: float)", texture_mm, log_std)
-        super().__init__()
-        self.register_buffer("water_mm", torch.as_tensor(water_mm, dtype=torch.float32).reshape(-1))
-        check_between("water_mm", self.water_mm, 0.0, 10.0, unit="mm", owner=self)
-        check_between("texture_mm", texture_mm, *TEXTURE_MM, unit="mm", owner=self)
-        check_between("log_std", log_std, 0.0, 2.0, owner=self)
-        self.texture_mm, self.log_std = float(texture_mm), float(log_std)
-
-    def config(self) -> dict[str, Any]:
-        """Constructor arguments."""
-        return {"water_mm": self.water_mm.tolist(), "texture_mm": self.texture_mm, "log_std": self.log_std}
-
-    def variates(self) -> tuple[Variate, ...]:
-        """Where the water lies deeper; none where it is even."""
-        return (GROUND_VARIATE,) if self.log_std else ()
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the water."""
