@@ -26,21 +26,20 @@ __all__ = ["forward_scattered", "kernel_weights"]
 # Optical depths between which a share is interpolated.
 NODES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.95, 1.25, 1.6, 2.0, 2.5, 3.1, 3.8, 4.6, 5.6, 7.0, 9.0, 12.0, 20.0, 80.0)
 SMALLEST_SAMPLES = 0.75  # standard deviation of a Gaussian in samples of its level of the pyramid, at least
-# Variance that means over blocks and linear interpolation back add, in squared samples of the level.
+# The pyramid blurs by itself: means over blocks and linear interpolation add this variance, in squared samples.
 PYRAMID_VARIANCE = 0.305
 MOR_DIGITS = 2  # of the visibility whose droplet sizes stand for a fog's: the shape changes slowly
 
 
-def kernel_weights(fog: Fog, wavelength_nm: float, mor_m: Tensor, asymmetry: float | None = None) -> Tensor:
+def kernel_weights(fog: Fog, wavelength_nm: float, mor_m: Tensor) -> Tensor:
     """Share of light that arrives blurred, ``(B, 8 widths, M nodes)``.
 
     Args:
         fog: whose droplet sizes scatter.
         wavelength_nm: of the colour that stands for all.
         mor_m: ``(B,)`` visibility, metres; where it is infinite the shares are 0.
-        asymmetry: of Henyey and Greenstein's phase function in place of Mie's; ``None`` is Mie's.
     """
-    return torch.stack([_weights(fog, wavelength_nm, _rounded(mor), asymmetry) for mor in mor_m.reshape(-1).tolist()])
+    return torch.stack([_weights(fog, wavelength_nm, _rounded(mor)) for mor in mor_m.reshape(-1).tolist()])
 
 
 def _rounded(mor_m: float) -> float:
@@ -48,12 +47,10 @@ def _rounded(mor_m: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def _weights(fog: Fog, wavelength_nm: float, mor_m: float, asymmetry: float | None) -> Tensor:
+def _weights(fog: Fog, wavelength_nm: float, mor_m: float) -> Tensor:
     nodes = torch.tensor(NODES, dtype=torch.float64)
     if math.isinf(mor_m):
         return torch.zeros(len(WIDTHS_RAD), len(NODES), dtype=torch.float64)
-    if asymmetry is not None:
-        return ForwardScattering.henyey_greenstein(asymmetry).weights(nodes).T
     if fog.size_distribution == REHEARSE:
         mor_m = min(max(mor_m, REHEARSE_MOR_M[0]), REHEARSE_MOR_M[-1])
     kernel = ForwardScattering.of_fog(fog.distribution(mor_m), wavelength_nm, fog.temperature_c)

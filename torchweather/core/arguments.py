@@ -33,8 +33,8 @@ def check_arguments(head: str, *values: object) -> None:
     ``Sequence``, ``Iterable``, ``Callable``, ``None``, ``array`` (numpy, of real numbers), tensors (``Tensor`` of any
     dtype, ``real``, ``floating``, ``whole``, ``mask``) and names of classes. ``|`` stands between kinds that are all
     allowed. A tensor's shape follows in brackets: a number, ``3+`` for three or more, a letter for a size that is the
-    same wherever it stands, ``...`` for any axes in front. The kind of a sequence's elements, or of a
-    mapping's keys, follows in square brackets: ``Sequence[float]``. Inside a compiled graph no argument is checked.
+    same wherever it stands, ``...`` for any axes in front. Square brackets hold the kind of a
+    sequence's elements or of a mapping's keys: ``Sequence[float]``. Inside a compiled graph no argument is checked.
 
     Args:
         head: such as ``"project(points: floating(..., N, 3+), camera: Camera)"``.

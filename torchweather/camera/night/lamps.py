@@ -20,7 +20,7 @@ BEAMS = ("isotropic", "low_beam", "high_beam", "rear")
 FIND = "find"
 OWN_LAMPS = ("low_beam", "high_beam", "none")
 # Luminous intensity along the axis of a pattern, cd, each lamp. Order of magnitude: LED headlamps reach 20,000 to
-# 30,000 cd in low beam; UN Regulation 112 allows 430,000 / 4 cd a lamp in high beam.
+# 30,000 cd in low beam; UN Regulation 112 bounds all high beams together by 430,000 cd (primary text not seen).
 PEAK_CD = {"low_beam": 20_000.0, "high_beam": 60_000.0}
 # Where headlamps sit, seen from the ground below a camera behind the windscreen: forward, left and up.
 HEADLAMP_FORWARD_M, HEADLAMP_ASIDE_M, HEADLAMP_HEIGHT_M = 1.8, 0.65, 0.65
@@ -142,8 +142,8 @@ class Night:
     Args:
         own: headlamps of the own car: ``low_beam``, ``high_beam``, ``none``, or lamps.
         lamps: of others: ``find`` takes bright spots of the frame for lamps; or lamps; or none, ``()``.
-        saturation_cd_per_m2: luminance that saturates the camera. A camera at night (1/30 s, f/1.8, ISO 1600) saturates
-            at about 10 cd/m2.
+        saturation_cd_per_m2: luminance that saturates the camera; of a known exposure that of
+            ``image.LuminanceExposure``: 7.3 cd/m2 at 1/30 s, f/1.8 and ISO 1600.
         white_lamp_cd, red_lamp_cd: intensity towards the camera that a found lamp is taken to have: low beams of others
             and street lamps, tail lamps. Their light saturates the frame, which does not tell.
         street_lamp_height_m: of a found lamp in front of the sky, from which its distance follows.
