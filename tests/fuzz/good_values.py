@@ -376,6 +376,7 @@ _CLOUDS = lambda: [cloud()[None, :, :3], cloud()[None, :, :3] + 0.01]  # noqa: E
 
 BY_CALL: Mapping[str, Callable[[], Any]] = {
     "joss_rain.kind": lambda: "widespread",
+    "deirmendjian_rain.name": lambda: "deirmendjian-rain-l",
     "of_beams.beams": lambda: 4,
     "CameraLidarCalibration.camera_matrix": lambda: torch.eye(3),
     "CameraLidarCalibration.T_camera_from_lidar": lambda: EYE,

@@ -1,4 +1,4 @@
-"""Kinds of rain by Joss and the snowfalls of D3.4's Table 4, as families that a weather takes by name."""
+"""Kinds of rain by Joss and Deirmendjian, snowfalls of D3.4's Table 4: families that a weather takes by name."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import torch
 
 from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.physics import (
+    DEIRMENDJIAN_RAIN,
     JOSS,
     RAIN,
     SNOW,
     brandes_table4,
+    deirmendjian_rain,
     extinction_per_m,
     joss_rain,
     precipitation_rate_mm_per_h,
@@ -35,6 +37,20 @@ def test_kinds_of_rain_carry_their_rate_within_a_third_and_differ_in_extinction(
     assert all(7.0 < rate < 14.0 for rate in rates.values())
     alpha = {kind: float(extinction_per_m(joss_rain(kind, 10.0), 905.0, q_ext=2.0)) for kind in JOSS}
     assert alpha["drizzle"] > alpha["widespread"] > alpha["thunderstorm"]
+
+
+@pytest.mark.parametrize(("name", "scale", "slope"), [("rain-l", 4.9757e7, 15.1186), ("rain-m", 5.3333e5, 8.9443)])
+def test_deirmendjian_rain_has_the_printed_shape_and_carries_the_rate(name: str, scale: float, slope: float) -> None:
+    """Deirmendjian 1969, models rain L and rain M: a r^alpha exp(-b sqrt(r)), r in mm, 1,000 drops per m^3."""
+    name = f"deirmendjian-{name}"
+    found = deirmendjian_rain(name, 5.0, diameter_min_mm=0.0, diameter_max_mm=1e3)
+    alpha, _ = DEIRMENDJIAN_RAIN[name]
+    radius = torch.tensor([0.05, 0.2, 1.0, 2.5], dtype=torch.float64)
+    printed = scale * radius**alpha * torch.exp(-slope * radius.sqrt())
+    per_radius = 2.0 * found.number_density_per_m3_mm(2.0 * radius) * (1000.0 / found.total_per_m3)
+    assert per_radius.tolist() == pytest.approx(printed.tolist(), rel=1e-4)
+    rates = torch.tensor([0.0, 0.5, 80.0])
+    assert precipitation_rate_mm_per_h(deirmendjian_rain(name, rates)).tolist() == pytest.approx(rates.tolist())
 
 
 @pytest.mark.parametrize("row", ["2.59", "2.70", "3.03"])

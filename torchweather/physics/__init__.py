@@ -68,7 +68,14 @@ from torchweather.physics.rain_attenuation import (
     rain_attenuation_coefficients,
     rain_attenuation_p838_db_per_km,
 )
-from torchweather.physics.rain_distributions import JOSS, RAIN, joss_rain, marshall_palmer
+from torchweather.physics.rain_distributions import (
+    DEIRMENDJIAN_RAIN,
+    JOSS,
+    RAIN,
+    deirmendjian_rain,
+    joss_rain,
+    marshall_palmer,
+)
 from torchweather.physics.refractive_index import (
     ice_permittivity_microwave,
     ice_refractive_index,
@@ -140,6 +147,7 @@ __all__ = [
     "cross_section_per_m",
     "default_fog",
     "deirmendjian_fog",
+    "deirmendjian_rain",
     "effective_extinction_per_m",
     "equal_visibility_rain_rate",
     "extinction_and_backscatter",
@@ -200,6 +208,7 @@ __all__ = [
     "wet_cover_series_db",
     "wet_flake_diameter_mm",
     "wet_snow_refractive_index_microwave",
+    "DEIRMENDJIAN_RAIN",
 ]
 
 __getattr__ = renamed(__name__, {"KnobTable": ("torchweather.physics.InterpolationTable", InterpolationTable)})

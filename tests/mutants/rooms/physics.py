@@ -171,4 +171,15 @@ MUTANTS = (
         "-STANDARD_GRAVITY_M_PER_S2",
         ("tests/physics/test_fall_speed.py::test_a_drop_from_rest_falls_as_newton_says",),
     ),
+    Mutant(
+        "gamma_rain_of_one_mode",
+        "rain L peaks at a radius of 70 um",
+        "torchweather.physics.rain_distributions",
+        '"deirmendjian-rain-l": (2.0, 70.0)',
+        '"deirmendjian-rain-l": (2.0, 50.0)',
+        (
+            "tests/physics/test_named_families.py::"
+            "test_deirmendjian_rain_has_the_printed_shape_and_carries_the_rate[rain-l-49757000.0-15.1186]",
+        ),
+    ),
 )
