@@ -85,7 +85,7 @@ def test_index_is_batched_over_wavelength_and_temperature() -> None:
 
 
 def test_wavelength_outside_the_table_warns() -> None:
-    with pytest.warns(TorchweatherWarning, match="300-2500 nm"):
+    with pytest.warns(TorchweatherWarning, match="300-2500 and 8000-14000 nm"):
         ice_refractive_index(3000.0)
 
 

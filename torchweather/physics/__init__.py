@@ -103,6 +103,7 @@ from torchweather.physics.snow_geometry import (
     snow_bulk_density_g_per_cm3,
     wet_flake_diameter_mm,
 )
+from torchweather.physics.thermal_band import ThermalBand, planck_w_per_m2_sr_um
 from torchweather.physics.visibility import (
     LIQUID_WATER_LAWS,
     extinction_from_mor,
@@ -135,6 +136,7 @@ __all__ = [
     "ModifiedGamma",
     "RainCoefficients",
     "SizeDistribution",
+    "ThermalBand",
     "SphereBudget",
     "Table13Row",
     "advection_fog",
@@ -176,6 +178,7 @@ __all__ = [
     "normal_reflectance",
     "particle_attenuation_db_per_km",
     "physical_diameter_mm",
+    "planck_w_per_m2_sr_um",
     "precipitation_rate_mm_per_h",
     "radar_constant_db",
     "rain_attenuation_coefficients",

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputValueError, TorchweatherWarning, check_between, check_positive
 from torchweather.physics.float64 import Quantity, to_complex128, to_float64
-from torchweather.physics.optical_constants import ICE_OPTICAL, WATER_OPTICAL
+from torchweather.physics.optical_constants import ICE_OPTICAL, ICE_THERMAL, WATER_OPTICAL, WATER_THERMAL
 from torchweather.physics.snow_geometry import ICE_DENSITY_G_PER_CM3
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
 KELVIN_AT_0_C = 273.15
 MELTING_POINT_C = 0.0  # water that shares a flake with ice is at the melting point until the ice is gone
 OPTICAL_MIN_NM, OPTICAL_MAX_NM = 300.0, 2500.0
+THERMAL_MIN_NM, THERMAL_MAX_NM = 8000.0, 14000.0
 
 # IAPWS R9-97, coefficients of the Lorentz-Lorenz function of water
 IAPWS_A = (
@@ -68,10 +69,11 @@ def water_density_kg_per_m3(temperature_c: Quantity) -> Tensor:
 def water_refractive_index(wavelength_nm: Quantity, temperature_c: Quantity = 10.0) -> Tensor:
     """Refractive index of liquid water at optical wavelengths, ``n + i k``, complex128.
 
-    n follows IAPWS R9-97 (wavelength and temperature); k is the measured absorption at 25 C, log-interpolated.
+    n follows IAPWS R9-97 (wavelength and temperature), from 8,000 nm on the table of Hale & Querry at 25 C; k is the
+    absorption measured at 25 C, log-interpolated.
 
     Args:
-        wavelength_nm: vacuum wavelength, nm, 300-2500, any shape.
+        wavelength_nm: vacuum wavelength, nm, 300-2500 or 8,000-14,000, any shape.
         temperature_c: water temperature, deg C, -20 to 60.
 
     Returns:
@@ -79,7 +81,8 @@ def water_refractive_index(wavelength_nm: Quantity, temperature_c: Quantity = 10
 
     Note:
         IAPWS states n up to 1100 nm; at 1550 nm the formula is 0.002 below Hale & Querry. Published values of k
-        differ by 10-30 % at 905 and 1550 nm. A wavelength outside 300-2500 nm warns and takes the nearest k.
+        differ by 10-30 % at 905 and 1550 nm. A wavelength between or outside the tables warns and takes the
+        nearest k.
 
     References:
         PHYSICS.md 1; IAPWS R9-97; Hale & Querry 1973; Segelstein 1981.
@@ -111,13 +114,14 @@ def water_refractive_index(wavelength_nm: Quantity, temperature_c: Quantity = 10
         + a[6] / (squared - IAPWS_LAMBDA_IR**2)
         + a[7] * density**2
     )
-    n = torch.sqrt((2.0 * lorentz_lorenz + 1.0) / (1.0 - lorentz_lorenz))
+    tabulated, k = _interpolated(wavelength, "water")
+    formula = torch.sqrt((2.0 * lorentz_lorenz + 1.0) / (1.0 - lorentz_lorenz))
+    n = torch.where(wavelength < THERMAL_MIN_NM, formula, tabulated)
     if not torch.compiler.is_compiling() and not bool(n.isfinite().all()):
         raise InputValueError(
             "water_refractive_index: wavelength_nm lies where the formula has no value. IAPWS R9-97 holds "
             "from 200 to 1100 nm."
         )
-    _, k = _interpolated(wavelength, "water")
     return torch.complex(*_same_shape(n, k))
 
 
@@ -125,7 +129,8 @@ def water_refractive_index_25c(wavelength_nm: Quantity) -> Tensor:
     """Refractive index of water at 25 C as Hale & Querry tabulate it, ``n + i k``, complex128: what D3.4 used.
 
     Args:
-        wavelength_nm: vacuum wavelength, nm, 300-2500, any shape; n linear, k log-linear between the rows.
+        wavelength_nm: vacuum wavelength, nm, 300-2500 or 8,000-14,000, any shape; n linear, k log-linear between the
+            rows.
 
     References:
         PHYSICS.md 1; Hale & Querry 1973 (k beyond 1000 nm: Segelstein 1981).
@@ -144,7 +149,7 @@ def ice_refractive_index(wavelength_nm: Quantity) -> Tensor:
     """Refractive index of ice at optical wavelengths, ``n + i k``, complex128 (-7 C; hardly depends on temperature).
 
     Args:
-        wavelength_nm: vacuum wavelength, nm, 300-2500, any shape.
+        wavelength_nm: vacuum wavelength, nm, 300-2500 or 8,000-14,000, any shape.
 
     References:
         PHYSICS.md 1; Warren & Brandt 2008.
@@ -399,27 +404,34 @@ def wet_snow_refractive_index_microwave(
 
 def _check_optical(wavelength_nm: Tensor, owner: str) -> None:
     check_between("wavelength_nm", wavelength_nm, 1.0, 1e9, unit="nm", owner=owner)
-    outside = (wavelength_nm < OPTICAL_MIN_NM) | (wavelength_nm > OPTICAL_MAX_NM)
-    if bool(outside.any()):
+    optical = (wavelength_nm >= OPTICAL_MIN_NM) & (wavelength_nm <= OPTICAL_MAX_NM)
+    thermal = (wavelength_nm >= THERMAL_MIN_NM) & (wavelength_nm <= THERMAL_MAX_NM)
+    if not bool((optical | thermal).all()):
         warnings.warn(
-            f"{owner}: wavelength_nm lies outside the tabulated {OPTICAL_MIN_NM:g}-{OPTICAL_MAX_NM:g} nm; the nearest "
-            "value is used. Below 1 THz use the *_microwave function.",
+            f"{owner}: wavelength_nm lies outside the tabulated {OPTICAL_MIN_NM:g}-{OPTICAL_MAX_NM:g} and "
+            f"{THERMAL_MIN_NM:g}-{THERMAL_MAX_NM:g} nm; the nearest value is used. Below 1 THz use the *_microwave "
+            "function.",
             TorchweatherWarning,
             stacklevel=3,
         )
 
 
-@lru_cache(maxsize=2)
-def _table(material: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    rows = np.array(WATER_OPTICAL if material == "water" else ICE_OPTICAL)
-    return rows[:, 0], rows[:, 1], np.log(rows[:, 2])
+@lru_cache(maxsize=4)
+def _table(rows: tuple[tuple[float, float, float], ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    at, n, k = np.array(rows).T
+    return at, n, np.log(k)
 
 
 def _interpolated(wavelength_nm: Tensor, material: str) -> tuple[Tensor, Tensor]:
     """n linear and k log-linear in the wavelength; the wavelength carries no gradient."""
-    at, n, log_k = _table(material)
     wanted = wavelength_nm.detach().cpu().numpy()
-    real, imaginary = np.interp(wanted, at, n), np.exp(np.interp(wanted, at, log_k))
+    optical, thermal = (WATER_OPTICAL, WATER_THERMAL) if material == "water" else (ICE_OPTICAL, ICE_THERMAL)
+    halfway = 0.5 * (OPTICAL_MAX_NM + THERMAL_MIN_NM)
+    values = []
+    for rows in (optical, thermal):
+        at, n, log_k = _table(rows)
+        values.append((np.interp(wanted, at, n), np.exp(np.interp(wanted, at, log_k))))
+    real, imaginary = (np.where(wanted < halfway, near, far) for near, far in zip(*values, strict=True))
     device = wavelength_nm.device
     return torch.as_tensor(real).to(device), torch.as_tensor(imaginary).to(device)
 

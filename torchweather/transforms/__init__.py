@@ -2,6 +2,7 @@
 
 from torchweather.camera.hdr import HdrResult, HdrWeather
 from torchweather.camera.rgb import AsBayer
+from torchweather.camera.thermal import ThermalWeather
 from torchweather.camera.transform import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
 from torchweather.core.moved import moved
 from torchweather.lidar.transform import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
@@ -26,6 +27,7 @@ __all__ = [
     "RadarMapResult",
     "RadarMapWeather",
     "RadarResult",
+    "ThermalWeather",
 ]
 
 __getattr__ = moved(

@@ -258,4 +258,12 @@ MUTANTS = (
         "SATURATION_LX_S * self.f_number",
         ("tests/camera/test_luminance.py::test_a_metered_scene_has_the_same_signal_at_every_exposure",),
     ),
+    Mutant(
+        "air_that_does_not_radiate",
+        "thermal fog is as warm as the air, not black",
+        "torchweather.camera.thermal",
+        "        seen = torch.lerp(of_air.expand_as(clear)",
+        "        seen = torch.lerp(0.0 * of_air.expand_as(clear)",
+        ("tests/camera/test_thermal.py::test_small_droplets_let_heat_through_and_large_ones_do_not",),
+    ),
 )
