@@ -6,7 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,7 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.core.exceptions import InputTypeError, InputValueError
 from torchweather.explain import explain
 from torchweather.io import PointCloud, with_labels_of
+from torchweather.lidar.open_air import OpenAirReturns, open_air_returns
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarResult, LidarWeather
 from torchweather.pipeline.point_kind import PointKind
@@ -79,6 +80,8 @@ def process(
             with outcome.file(file):
                 for frame in clouds_in(file, args, sensor):
                     outcome.add(work.process(frame), sensor.to_dict())
+                    if "open_air_returns" not in outcome.about:
+                        outcome.about["open_air_returns"] = asdict(work.open_air_returns())
                     bar.update()
 
 
@@ -214,6 +217,13 @@ class _Work:
                 f"{frame.name}: {floored} of {points} points are, by their intensity, fainter than the sensor can "
                 "detect; little weather removes them. Check --intensity-unit and --range-at-10-percent-m.",
             )
+
+    def open_air_returns(self) -> OpenAirReturns:
+        """Share of beams into open air that return from particles; said where there is any."""
+        found = open_air_returns(self.transform)
+        if max(found.share, found.fast or 0.0) > 0.0:
+            note(found.text(), quiet=self.args.quiet)
+        return found
 
     def _say_once(self, what: str, text: str) -> None:
         if what not in self.said:

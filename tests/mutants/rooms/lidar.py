@@ -328,4 +328,12 @@ MUTANTS = (
         "        self.pulse_length_m = 0.0",
         ("tests/lidar/returns/test_strongest_returns.py::test_echoes_of_one_pulse_add",),
     ),
+    Mutant(
+        "open_air_that_ends_early",
+        "a beam into open air has particles up to the sensor's reach",
+        "torchweather.lidar.open_air",
+        "transform.sensor.max_range_m)",
+        "0.05 * transform.sensor.max_range_m)",
+        ("tests/lidar/test_open_air.py::test_the_share_is_that_of_drawn_sweeps",),
+    ),
 )
