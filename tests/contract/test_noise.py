@@ -81,7 +81,7 @@ def test_uniforms_stay_within_their_law(name: str) -> None:
     transform = transform_of(name)
     chain = getattr(transform, "transform", transform).chain
     laws = {f"{stage}.{one.name}": one.law for stage, some in chain.stages.items() for one in some.variates()}
-    for key in (key for key, law in laws.items() if law != "normal"):
+    for key in (key for key, law in laws.items() if "normal" not in law):
         for value in (-0.01, 2.5):
             broken = noise[key].clone()
             broken.view(-1)[0] = value

@@ -138,7 +138,9 @@ def test_wrong_seeds_are_refused_with_what_was_wanted() -> None:
 
 
 def test_unknown_law_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"law must be one of uniform, normal, exponential, points; got 'gaussian'"):
+    with pytest.raises(
+        ValueError, match=r"law must be one of uniform, normal, tabulated_normal, exponential, points; got 'gaussian'"
+    ):
         Variate("x", "gaussian")
 
 

@@ -147,7 +147,7 @@ class AsBayer(nn.Module):
         if self.transform.must_draw(noise, seed, generator):
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
             chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
-            return chosen.forward(rgb, depth, chosen.draw(rgb, seed=seeds))
+            return chosen.forward(rgb, depth, chosen.draw(rgb, seed=seeds, at_rate=True))
         if self.through_mosaic:
             before, inner, scene = self._raw(rgb, depth)
             return image_of_mosaic(before, inner(before, scene, noise), rgb, inner.camera, self.method)
@@ -184,7 +184,7 @@ class AsBayer(nn.Module):
         if self.transform.must_draw(noise, seed, generator):
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
             chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
-            return chosen.run(rgb, depth, chosen.draw(rgb, seed=seeds))
+            return chosen.run(rgb, depth, chosen.draw(rgb, seed=seeds, at_rate=True))
         batch, (height, width) = rgb.shape[:-3], rgb.shape[-2:]
         if self.through_mosaic:
             before, inner, scene = self._raw(rgb, depth)
@@ -213,6 +213,8 @@ class AsBayer(nn.Module):
         depth: Tensor | SceneDepth | None = None,
         generator: torch.Generator | None = None,
         seed: int | Tensor | None = None,
+        *,
+        at_rate: bool = False,
     ) -> dict[str, Tensor]:
         """Noise for an image (or a batch).
 
@@ -221,14 +223,16 @@ class AsBayer(nn.Module):
             depth: ignored, so that ``draw`` takes what ``forward`` takes.
             generator: takes one integer per sample from it; ``None`` is torch's global generator.
             seed: the integers themselves: a tensor of the batch shape, or one integer s for s, s + 1, ...
+            at_rate: draw only what the present rates need, as in ``BayerWeather.draw``.
         """
+        check_arguments("AsBayer.draw(at_rate: bool)", at_rate)
         self._check(rgb)
         height, width = rgb.shape[-2:]
         if self.through_mosaic:
             height, width = padded_size(height, width)
             frame = torch.zeros(()).expand(*rgb.shape[:-3], 1, height, width)
-            return self._inner(height, width).draw(frame, None, generator, seed)
-        return self.transform.drawn(rgb.shape[:-3], sizes_of(height, width, 3), generator, seed)
+            return self._inner(height, width).draw(frame, None, generator, seed, at_rate=at_rate)
+        return self.transform.drawn(rgb.shape[:-3], sizes_of(height, width, 3), generator, seed, at_rate=at_rate)
 
     @outside_autocast
     def draw_sequence(

@@ -299,9 +299,11 @@ class BayerWeather(WeatherTransform):
             check_bayer(bayer, self.camera, self)  # refuses it
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
-            return chosen.forward(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal, out=out)
+            return chosen.forward(bayer, depth, chosen.draw(bayer, seed=seeds, at_rate=True), normal=normal, out=out)
         state = self._state(bayer, depth, normal)
-        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state, bayer.shape[:-3])
+        drawn = (
+            self.chain.draw(state, at_rate=True) if noise is None else self._flat_noise(noise, state, bayer.shape[:-3])
+        )
         check_arguments("BayerWeather(out: Tensor | None)", out)
         if out is not None:
             self._run_into(state, out)
@@ -327,7 +329,7 @@ class BayerWeather(WeatherTransform):
             check_bayer(bayer, self.camera, self)  # refuses it
         if self.must_draw(noise, seed, generator):
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
-            return chosen.run(bayer, depth, chosen.draw(bayer, seed=seeds), normal=normal)
+            return chosen.run(bayer, depth, chosen.draw(bayer, seed=seeds, at_rate=True), normal=normal)
         scene = self.scene_of(bayer, depth)
         state = self._state(bayer, scene, normal, keep_truth=True)
         after = self.weathered(state, noise, bayer.shape[:-3])
@@ -350,7 +352,7 @@ class BayerWeather(WeatherTransform):
             noise: what ``draw`` gave; ``None`` draws.
             batch: batch shape of the frames, with which the noise leads; (B,) unless given.
         """
-        drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state, batch)
+        drawn = self.chain.draw(state, at_rate=True) if noise is None else self._flat_noise(noise, state, batch)
         after: CameraState = self.chain(state, drawn)
         return after
 
@@ -376,6 +378,8 @@ class BayerWeather(WeatherTransform):
         depth: Tensor | None = None,
         generator: torch.Generator | None = None,
         seed: int | Tensor | None = None,
+        *,
+        at_rate: bool = False,
     ) -> dict[str, Tensor]:
         """Noise for a frame (or a batch): ``<stage>.<variate>`` to a tensor with the frame's leading dimensions.
 
@@ -384,12 +388,15 @@ class BayerWeather(WeatherTransform):
             depth: ignored, so that ``draw`` takes what ``forward`` takes.
             generator: takes one integer per sample from it; ``None`` is torch's global generator.
             seed: the integers themselves: a tensor of the batch shape, or one integer s for s, s + 1, ...
+            at_rate: draw only what the present rates need: particles of higher rates are left out, and samples without
+                particles get zeros. Otherwise one draw serves every rate.
 
         Returns:
             float32 tensors on the CPU; the same seed gives the same numbers everywhere.
         """
+        check_arguments("BayerWeather.draw(at_rate: bool)", at_rate)
         check_bayer(bayer, self.camera, self)
-        return self.drawn(bayer.shape[:-3], sizes_of(*bayer.shape[-2:]), generator, seed)
+        return self.drawn(bayer.shape[:-3], sizes_of(*bayer.shape[-2:]), generator, seed, at_rate=at_rate)
 
     @outside_autocast
     def draw_sequence(

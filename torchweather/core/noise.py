@@ -17,6 +17,7 @@ __all__ = ["flat_noise"]
 BOUNDS: dict[str, tuple[float, float]] = {
     "uniform": (0.0, 1.0),
     "normal": (-math.inf, math.inf),
+    "tabulated_normal": (-math.inf, math.inf),
     "exponential": (0.0, math.inf),
     "points": (0.0, ABSENT),
 }
@@ -55,7 +56,13 @@ def flat_noise(
     if lacking:
         raise InputValueError(f"{name}: the noise is of another transform: it lacks {', '.join(lacking[:3])}. {AGAIN}")
     flat = {
-        key: _checked(noise[key], f"{name}: noise {key!r}", variate.sample_shape(sizes), tuple(batch))
+        key: _checked(
+            noise[key],
+            f"{name}: noise {key!r}",
+            variate.sample_shape(sizes),
+            tuple(batch),
+            fewer=variate.law == "points",
+        )
         for key, variate in variates.items()
     }
     if flat and not torch.compiler.is_compiling():
@@ -63,12 +70,15 @@ def flat_noise(
     return flat
 
 
-def _checked(value: Tensor, what: str, shape: tuple[int, ...], batch: tuple[int, ...]) -> Tensor:
+def _checked(value: Tensor, what: str, shape: tuple[int, ...], batch: tuple[int, ...], *, fewer: bool) -> Tensor:
+    """The noise of a variate with its samples in one row; of points there may be ``fewer``, for a lower rate."""
     if not isinstance(value, Tensor) or not value.is_floating_point():
         got = value.dtype if isinstance(value, Tensor) else type(value).__name__
         raise InputTypeError(f"{what} must be a floating-point tensor; got {got}. {AGAIN}")
     number = math.prod(batch)
     leading = value.shape[: value.ndim - len(shape)] if value.ndim >= len(shape) else None
+    if fewer and leading is not None and not torch.compiler.is_compiling():
+        shape = (min(shape[0], value.shape[-2]), *shape[1:])
     fits = leading is not None and tuple(value.shape[len(leading) :]) == shape
     if not fits or leading not in (batch, (number,)):
         raise InputValueError(

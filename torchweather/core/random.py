@@ -15,6 +15,8 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import lru_cache
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -39,16 +41,19 @@ __all__ = [
     "sizes_of",
 ]
 
-DRAWS = "torchweather-draws/1"
+DRAWS = "torchweather-draws/2"
 """Name of the rule by which a seed becomes numbers.
 
 Another rule is a breaking change: it gets a new number here, and a line in CHANGELOG.md.
 """
 
-LAWS = ("uniform", "normal", "exponential", "points")
+LAWS = ("uniform", "normal", "tabulated_normal", "exponential", "points")
 
 # Value of a point's last column that marks an unused slot: no uniform reaches it.
 ABSENT = 2.0
+
+TABLE_SIZE = 1 << 16  # of the tabulated normal law
+NORMALS_AT_ONCE = 1 << 16  # whose bits stay in the cache; a multiple of 4
 
 # Below this many numbers a thread costs more than it saves.
 THREADED_FROM = 1 << 19
@@ -65,12 +70,15 @@ class Variate:
 
     Args:
         name: its name in the stage; the noise dictionary holds ``<stage>.<name>``.
-        law: ``uniform`` [0, 1), ``normal``, ``exponential`` (mean 1), or ``points``: a Poisson number of points
-            with ``columns`` uniforms each, in slots; the last column of an unused slot is ``ABSENT``.
+        law: ``uniform`` [0, 1), ``normal``, ``exponential`` (mean 1), ``tabulated_normal`` (one of 65,536 values of
+            equal probability, mean 0, variance 1, at most 4.4), or ``points``: a Poisson number of points with
+            ``columns`` uniforms each, in slots. The last column is a point's level, in rising order; of an unused
+            slot it is ``ABSENT``.
         shape: of one sample; integers or the names of sizes (``"C"``, ``"H"``, ``"W"``).
         per_px2: ``points`` only: expected points per pixel of the image enlarged by the margins.
         margin_x_px, margin_y_px: ``points`` only: margin on each side, pixels.
         columns: ``points`` only.
+        level_limit: ``points`` only: slots for points of lower levels alone; they are the first ones of a whole draw.
     """
 
     name: str
@@ -80,6 +88,7 @@ class Variate:
     margin_x_px: float = 0.0
     margin_y_px: float = 0.0
     columns: int = 0
+    level_limit: float = 1.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.law, str) or self.law not in LAWS:
@@ -94,7 +103,9 @@ class Variate:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as an exported graph carries them in its metadata."""
-        return {**asdict(self), "shape": list(self.shape)}
+        values = {**asdict(self), "shape": list(self.shape)}
+        del values["level_limit"]  # of a call, not of a graph
+        return values
 
     def mean_points(self, sizes: Mapping[str, int]) -> float:
         """Expected number of points on an image of these sizes."""
@@ -105,7 +116,10 @@ class Variate:
         if self.law == "points":
             mean = self.mean_points(sizes)
             # 6 standard deviations above the mean: exceeded once in 1e9 draws (then the surplus is cut off).
-            return (math.ceil(mean + 6 * math.sqrt(mean)) + 4, self.columns)
+            whole = math.ceil(mean + 6 * math.sqrt(mean)) + 4
+            below = mean * self.level_limit
+            # 9 of them below a limit: no surplus there, so that a point is lost by the whole draw's rule alone.
+            return (min(whole, math.ceil(below + 9 * math.sqrt(below)) + 40), self.columns)
         return tuple(sizes[size] if isinstance(size, str) else size for size in self.shape)
 
 
@@ -172,16 +186,42 @@ def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], ou
         generator.random(out=out, dtype=np.float32)
     elif variate.law == "normal":
         generator.standard_normal(out=out, dtype=np.float32)
+    elif variate.law == "tabulated_normal":
+        flat, table = out.reshape(-1), _normal_table()
+        for start in range(0, flat.size, NORMALS_AT_ONCE):
+            some = flat[start : start + NORMALS_AT_ONCE]
+            raw: NDArray[np.uint64] = generator.bit_generator.random_raw(-(-some.size // 4))  # type: ignore[attr-defined]
+            # 16 bits each, the lowest first
+            np.take(table, raw.astype("<u8", copy=False).view("<u2")[: some.size], out=some, mode="clip")
     elif variate.law == "exponential":
         generator.standard_exponential(out=out, dtype=np.float32)
     else:
-        number = generator.poisson(variate.mean_points(sizes))
         generator.random(out=out, dtype=np.float32)
-        out[number:, -1] = ABSENT
+        # Levels of a Poisson process in rising order: the gaps are exponential. A shorter draw has the same ones first.
+        gaps = keyed_stream(seed, f"{stream}.level").standard_exponential(len(out))
+        mean = variate.mean_points(sizes)
+        level = (np.cumsum(gaps) / mean if mean > 0 else np.full(len(out), ABSENT)).astype(np.float32)
+        out[:, -1] = np.where(level < 1.0, level, np.float32(ABSENT))
+
+
+@lru_cache(maxsize=1)
+def _normal_table() -> NDArray[np.float32]:
+    """Means of the standard normal law over 65,536 ranges of equal probability, scaled to variance 1."""
+    inner = NormalDist()
+    edges = np.array([inner.inv_cdf(k / TABLE_SIZE) for k in range(1, TABLE_SIZE // 2 + 1)])
+    density = np.concatenate([[0.0], np.exp(-0.5 * edges**2) / math.sqrt(2.0 * math.pi)])
+    below = -np.diff(density) * TABLE_SIZE  # mean over a range: the densities at its ends, over its probability
+    table = np.concatenate([below, -below[::-1]])
+    return (table / np.sqrt((table**2).mean())).astype(np.float32)
 
 
 def draw_variates(
-    seeds: Sequence[int], stage: str, variates: Sequence[Variate], sizes: Mapping[str, int]
+    seeds: Sequence[int],
+    stage: str,
+    variates: Sequence[Variate],
+    sizes: Mapping[str, int],
+    *,
+    only: Sequence[bool] | None = None,
 ) -> dict[str, NDArray[np.float32]]:
     """Draw a stage's variates for every sample, each from its own stream.
 
@@ -190,6 +230,7 @@ def draw_variates(
         stage: the stage's name in its chain.
         variates: what the stage needs.
         sizes: values of the named sizes, for example ``{"H": 1464, "W": 1936}``.
+        only: which samples are drawn; the numbers of the others are 0. ``None`` draws all.
 
     Returns:
         ``<stage>.<variate>`` to float32 array ``(len(seeds), *sample shape)``.
@@ -203,9 +244,13 @@ def draw_variates(
     tasks = []
     for variate in variates:
         stream = f"{stage}.{variate.name}"
-        array = np.empty((len(seeds), *variate.sample_shape(sizes)), dtype=np.float32)
+        every = only is None or all(only)
+        # Zeros that nobody reads take no memory.
+        array = (np.empty if every else np.zeros)((len(seeds), *variate.sample_shape(sizes)), dtype=np.float32)
         drawn[stream] = array
-        tasks += [(seed, stream, variate, sizes, array[row]) for row, seed in enumerate(seeds)]
+        tasks += [
+            (seed, stream, variate, sizes, array[row]) for row, seed in enumerate(seeds) if only is None or only[row]
+        ]
     in_parallel(lambda task: _fill(*task), tasks, sum(array.size for array in drawn.values()))
     return drawn
 

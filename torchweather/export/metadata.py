@@ -39,8 +39,9 @@ UNITS = {
 LAWS = {
     "uniform": "uniform in [0, 1)",
     "normal": "standard normal",
+    "tabulated_normal": "standard normal, one of 65,536 values",
     "exponential": "exponential of mean 1",
-    "points": "uniforms of a Poisson number of points; unused slots marked in the last column",
+    "points": "uniforms of a Poisson number of points, in rising order of the last column, which marks unused slots",
 }
 SEEDS = (
     "One integer a sample. Each noise input <stage>.<variate> has its own numpy Philox stream, key (seed mod 2^64, "

@@ -76,18 +76,38 @@ class Chain(AtLeastSingle):
         return Chain({known: stage for known, stage in self.stages.items() if known != name})
 
     def draw(
-        self, state: State, generator: torch.Generator | None = None, seed: int | Tensor | None = None
+        self,
+        state: State,
+        generator: torch.Generator | None = None,
+        seed: int | Tensor | None = None,
+        *,
+        at_rate: bool = False,
     ) -> dict[str, Tensor]:
-        """Noise of all stages, ``<stage>.<variate>`` to ``(B, ...)``; takes one integer per sample."""
+        """Noise of all stages, ``<stage>.<variate>`` to ``(B, ...)``; takes one integer per sample.
+
+        Args:
+            state: gives the number of samples and the sizes.
+            generator, seed: of the samples.
+            at_rate: draw only what the present intensities need, for this chain alone.
+        """
         seeds = sample_seeds((state.batch,), generator, seed)
 
         def drawn(name: str) -> dict[str, Tensor]:
-            found = self.stages[name].draw(state, seed=seeds, name=name)
+            stage = self.stages[name]
+            if at_rate:
+                found = stage.draw(state, seed=seeds, name=name, at_rate=True, written=self._written_beside(name))
+            else:
+                found = stage.draw(state, seed=seeds, name=name)
             return {f"{name}.{variate}": array for variate, array in found.items()}
 
         shapes = [v.sample_shape(state.sizes) for stage in self.stages.values() for v in stage.variates()]
         numbers = len(seeds) * sum(math.prod(shape) for shape in shapes)
         return {key: array for part in in_parallel(drawn, list(self.stages), numbers) for key, array in part.items()}
+
+    def _written_beside(self, name: str) -> frozenset[str] | None:
+        """Fields that the other stages change; ``None`` where one of them does not declare any."""
+        others = [stage.writes for other, stage in self.stages.items() if other != name]
+        return frozenset(field for fields in others for field in fields) if all(others) else None
 
     def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:
         """The state after all stages."""

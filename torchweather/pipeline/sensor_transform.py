@@ -162,10 +162,12 @@ class WeatherTransform(AtLeastSingle):
         sizes: dict[str, int],
         generator: torch.Generator | None,
         seed: int | Tensor | None,
+        *,
+        at_rate: bool = False,
     ) -> dict[str, Tensor]:
-        """Noise of the chain for named sizes, leading with the batch shape."""
+        """Noise of the chain for named sizes, leading with the batch shape; ``at_rate`` as in ``Chain.draw``."""
         flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == tuple(batch) else seed
-        drawn = self.chain.draw(Sizes(math.prod(batch), sizes), generator, flat_seed)
+        drawn = self.chain.draw(Sizes(math.prod(batch), sizes), generator, flat_seed, at_rate=at_rate)
         return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
 
     def _flat_noise(

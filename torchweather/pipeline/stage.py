@@ -58,17 +58,40 @@ class Stage(AtLeastSingle):
         """Those of them that belong to the weather and not to a sensor: ``Compose`` gives them to all sensors."""
         return self.variates() if self.of_the_air else ()
 
+    def variates_at_rate(
+        self, batch: int, written: frozenset[str] | None
+    ) -> tuple[tuple[Variate, ...], list[bool] | None]:
+        """The variates as far as the present intensities need them, and the samples that need any (``None``: all).
+
+        Args:
+            batch: number of samples.
+            written: fields of the state that the other stages of the chain change; ``None`` is not known.
+        """
+        return self.variates(), None
+
     def draw(
         self,
         state: State,
         generator: torch.Generator | None = None,
         seed: int | Tensor | Sequence[int] | None = None,
         name: str | None = None,
+        *,
+        written: frozenset[str] | None = None,
+        at_rate: bool = False,
     ) -> dict[str, Tensor]:
-        """Draw this stage's noise, on the CPU, keyed by (sample seed, stage name, variate name)."""
+        """Draw this stage's noise, on the CPU, keyed by (sample seed, stage name, variate name).
+
+        Args:
+            state: gives the number of samples and the sizes.
+            generator, seed: of the samples.
+            name: of the stage in its chain.
+            at_rate: draw only what the present intensities need; of all that is drawn for any intensity, it is a part.
+            written: as in ``variates_at_rate``.
+        """
         seeds = list(seed) if isinstance(seed, Sequence) else sample_seeds((state.batch,), generator, seed)
         stage = name or self.default_name
-        drawn = draw_variates(seeds, stage, self.variates(), state.sizes)
+        variates, only = self.variates_at_rate(len(seeds), written) if at_rate else (self.variates(), None)
+        drawn = draw_variates(seeds, stage, variates, state.sizes, only=only)
         return {key.removeprefix(f"{stage}."): torch.from_numpy(array) for key, array in drawn.items()}
 
     def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:

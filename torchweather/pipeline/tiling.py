@@ -31,6 +31,7 @@ def by_rows(
     out: Tensor | None = None,
     *,
     apart: bool = False,
+    band_pixels: int | None = None,
 ) -> tuple[Tensor, ...]:
     """Assemble the results of a function over the bands of an image of ``shape`` ``(B, C, H, W)``.
 
@@ -41,11 +42,12 @@ def by_rows(
         like: gives dtype and device of the results; where gradients flow, the image is one band.
         out: where to write the first result; ``None`` allocates.
         apart: run the bands side by side on threads of their own, for functions of very many operations.
+        band_pixels: of a band, all samples and planes together; ``None`` is ``BAND_PIXELS``.
     """
     b, c, height, width = shape
     if is_exporting() or (torch.is_grad_enabled() and like.requires_grad):
         return tuple(function(0, height, None))
-    rows = max(2, BAND_PIXELS // max(1, b * c * width) // 2 * 2)
+    rows = max(2, (BAND_PIXELS if band_pixels is None else band_pixels) // max(1, b * c * width) // 2 * 2)
     bands = [(first, min(first + rows, height)) for first in range(0, height, rows)]
     results = [] if out is None else [out.view(tuple(shape))]
 

@@ -33,6 +33,13 @@ class DepthBlocks:
         rows, columns = nearest.shape[-2:]
         return cls(nearest.reshape(-1), farthest.reshape(-1), rows, columns)
 
+    def of_sample(self, row: int) -> DepthBlocks:
+        """The blocks of one sample, of one depth map for each sample or one for all."""
+        blocks = self.rows * self.columns
+        first = row * blocks if self.nearest_m.numel() > blocks else 0
+        some = slice(first, first + blocks)
+        return DepthBlocks(self.nearest_m[some], self.farthest_m[some], self.rows, self.columns)
+
     def at(self, sample: Tensor | None, u_px: Tensor, v_px: Tensor) -> tuple[Tensor, Tensor]:
         """Nearest and farthest depth around image positions ``(P,)``."""
         row = (v_px * (1 / BLOCK_PX)).clamp(0, self.rows - 1).long()

@@ -12,7 +12,7 @@ power 1.98 to 2.00 for rain, 1.89 to 2.00 for snow, computed from the marks of a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -75,19 +75,24 @@ def haze_depth(
     ray = state.scene.ray_per_depth[rows].float()
 
     fields = noise[f"{population.weather.kind}_haze"].to(state.image.signal.device)  # (B, J, H, W)
-    smooth = _streaky(fields, tables, first, last, steep=population.haze_steep, slope=population.haze_slope)
-    deviation = _deviation(population, tables, variance, smooth, scale)
-    mean, variance, deviation = on_axis * ray, variance * ray.square(), deviation * ray
+    smooth = _streaky(fields, tables, first, last, population)
+    deviation = _deviation(population, tables, variance, smooth, scale) * ray
+    mean, variance = on_axis * ray, variance * ray.square()
     if tables.path_density is not None:
         denser = tables.path_density[rows]
         mean, variance, deviation = mean * denser, variance * denser, deviation * denser.clamp_min(0.0).sqrt()
     # -ln(1 - m) has the mean of m plus half of its variance: the mean transmission stays exp(-mean).
-    there = (mean > LEAST) & (variance > LEAST)
-    variance = torch.where(there, variance, torch.ones_like(variance))
-    centre = torch.where(there, mean, torch.ones_like(mean)) + 0.5 * variance
+    everywhere = not is_exporting() and bool(mean.amin() > LEAST) and bool(variance.amin() > LEAST)
+    if everywhere:
+        centre = mean + 0.5 * variance
+    else:
+        there = (mean > LEAST) & (variance > LEAST)
+        variance = torch.where(there, variance, torch.ones_like(variance))
+        centre = torch.where(there, mean, torch.ones_like(mean)) + 0.5 * variance
     spread = torch.log1p(variance / centre.square())
     optical = centre * torch.exp(torch.sqrt(spread / variance) * deviation - 0.5 * spread)
-    optical = torch.where(there, optical, mean)
+    if not everywhere:
+        optical = torch.where(there, optical, mean)
     if lit:
         return optical, optical * _mean_lamplight(population, state, tables, depth_m, focal, first, last)
     if fog_per_m is None:
@@ -101,28 +106,35 @@ def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:
     """Interpolates tables ``(1 or B, nodes)`` at fractional node numbers ``(1 or B, 1, rows, W)``, the ends held."""
     cell = node.detach().floor().clamp(0, nodes - 2)
     share = (node - cell).clamp(0.0, 1.0)
-    place = cell.long()
+    place = cell.int()
 
     def read(table: Tensor) -> Tensor:
-        flat, at = table.reshape(-1), place
+        at = place
         if is_exporting() or len(table) > 1:
-            at = at + (torch.arange(table.shape[0], device=node.device) * nodes).view(-1, 1, 1, 1)
-        low, high = (flat.index_select(0, one.reshape(-1)).view(at.shape) for one in (at, at + 1))
-        return low + share * (high - low)
+            row = torch.arange(table.shape[0], device=node.device, dtype=torch.int32)
+            at = at + (row * nodes).view(-1, 1, 1, 1)
+        step = torch.nn.functional.pad(table[:, 1:] - table[:, :-1], (0, 1))
+        low, rise = (one.reshape(-1).index_select(0, at.reshape(-1)).view(at.shape) for one in (table, step))
+        return low + share * rise
 
     return read
 
 
 def _deviation(population: Population, tables: AtRate, variance: Tensor, smooth: Tensor, scale: Tensor) -> Tensor:
     """Sum of the shells' noise maps, each with the variance of its part in front of the scene."""
-    total = torch.zeros_like(variance)
+    total = variance.new_zeros(())
+    learns = is_exporting() or variance.requires_grad  # the root's gradient at 0 is infinite
     for number, shell in enumerate(population.haze_shells):
         low = tables.haze_variance[:, shell.first_node].view(-1, 1, 1, 1) * scale
         high = tables.haze_variance[:, shell.last_node].view(-1, 1, 1, 1) * scale
         inside = torch.minimum(variance, high) - low
-        positive = inside > 0
-        root = torch.sqrt(torch.where(positive, inside, torch.ones_like(inside)))
-        total = total + torch.where(positive, root, torch.zeros_like(root)) * smooth[:, number : number + 1]
+        if learns:
+            positive = inside > 0
+            root = torch.sqrt(torch.where(positive, inside, torch.ones_like(inside)))
+            root = torch.where(positive, root, torch.zeros_like(root))
+        else:
+            root = inside.clamp_min(0.0).sqrt()
+        total = total + root * smooth[:, number : number + 1]
     return total
 
 
@@ -187,48 +199,87 @@ def _at_nodes(row: Tensor, place: Tensor) -> Tensor:
     return low + (place - cell).clamp(0.0, 1.0) * (high - low)
 
 
-def _streaky(noise: Tensor, tables: AtRate, first: int, last: int, *, steep: bool, slope: float) -> Tensor:
+def _streaky(noise: Tensor, tables: AtRate, first: int, last: int, population: Population) -> Tensor:
     """White noise ``(B, J, H, W)`` with the correlation of each shell's streaks, rows ``first..last``.
 
-    Streaks run along the rows' direction (down the image) where ``steep``, else along the columns', and drift aside
-    by ``slope`` pixels per step. The maps repeat at the frame's edges.
+    Streaks run along the rows' direction (down the image) where ``haze_steep``, else along the columns', and drift
+    aside by ``haze_slope`` pixels per step. The maps repeat at the frame's edges.
     """
     along, across = tables.kernel_along, tables.kernel_across
-    taps = along.shape[-1] // 2
+    taps, slope = along.shape[-1] // 2, population.haze_slope
     lean = math.ceil(taps * abs(slope))
-    if steep:
+    if population.haze_steep:
         band = _row_window(noise, first - taps, last + taps)
-        return _along_columns(_along_rows(band, along, slope), across, 0.0)
+        return _along_columns(
+            _along_rows(band, along, slope, population.taps_along), across, 0.0, population.taps_across
+        )
     band = _row_window(noise, first - taps - lean, last + taps + lean)
-    return _along_columns(_along_rows(band, across, 0.0), along, slope)
+    return _along_columns(_along_rows(band, across, 0.0, population.taps_across), along, slope, population.taps_along)
 
 
-def _along_rows(band: Tensor, kernel: Tensor, slope: float) -> Tensor:
-    """Weighted sum over neighbouring rows; the band loses ``taps`` rows at each end."""
+def _along_rows(band: Tensor, kernel: Tensor, slope: float, taps: Sequence[int] | None = None) -> Tensor:
+    """Weighted sum over neighbouring rows; the band loses the rows of the kernel at each end.
+
+    Args:
+        band: ``(B, J, rows, W)``, which repeats along its columns.
+        kernel: ``(B, J, taps)``.
+        slope: columns per row.
+        taps: of each shell, how far its kernel counts to either side; ``None`` takes all of it.
+    """
     # kornia.filters.filter2d: 1.5 times the time at 1920 x 1080 (2.3 against 1.6 ms), and nothing for the slope
-    taps = kernel.shape[-1] // 2
-    rows = band.shape[-2] - 2 * taps
-    total = band.new_zeros(())
-    for tap in range(-taps, taps + 1):
-        part = band[..., taps + tap : taps + tap + rows, :]
-        if slope:
-            part = _blend(tap * slope, lambda shift, part=part: torch.roll(part, -shift, -1))  # type: ignore[misc]
-        total = part * kernel[:, :, tap + taps, None, None] + total
-    return total
+    most = kernel.shape[-1] // 2
+    rows = band.shape[-2] - 2 * most
+    return _weighted(
+        band,
+        kernel,
+        [most] * band.shape[1] if taps is None else taps,
+        lambda shell, tap: _blend(
+            tap * slope,
+            lambda shift: _rolled(shell[..., most + tap : most + tap + rows, :], shift),
+        ),
+    )
 
 
-def _along_columns(band: Tensor, kernel: Tensor, slope: float) -> Tensor:
+def _along_columns(band: Tensor, kernel: Tensor, slope: float, taps: Sequence[int] | None = None) -> Tensor:
     """Weighted sum over neighbouring columns; with a slope, the band loses the rows of its lean at each end."""
-    taps = kernel.shape[-1] // 2
-    lean = math.ceil(taps * abs(slope))
-    rows = band.shape[-2] - 2 * lean
-    total = band.new_zeros(())
-    for tap in range(-taps, taps + 1):
-        part = torch.roll(band, -tap, -1)
-        if slope:
-            part = _blend(tap * slope, lambda shift, part=part: part[..., lean + shift : lean + shift + rows, :])  # type: ignore[misc]
-        total = part * kernel[:, :, tap + taps, None, None] + total
-    return total
+    most = kernel.shape[-1] // 2
+    lean = math.ceil(most * abs(slope))
+    rows, width = band.shape[-2] - 2 * lean, band.shape[-1]
+    taps = [most] * band.shape[1] if taps is None else taps
+    reach = 0 if is_exporting() else min(max(taps), width)
+    # Padded once, so that a shifted map is a part of it.
+    wide = torch.cat([band[..., width - reach :], band, band[..., :reach]], -1) if reach else band
+
+    def shifted(shell: Tensor, tap: int, shift: int) -> Tensor:
+        part = shell[..., lean + shift : lean + shift + rows, :]
+        return part[..., reach + tap : reach + tap + width] if abs(tap) <= reach else torch.roll(part, -tap, -1)
+
+    if max(taps) > reach:  # an image narrower than the kernel, or a graph
+        wide, reach = band, -1
+    return _weighted(
+        wide, kernel, taps, lambda shell, tap: _blend(tap * slope, lambda shift: shifted(shell, tap, shift))
+    )
+
+
+def _weighted(band: Tensor, kernel: Tensor, taps: Sequence[int], shifted: Callable[[Tensor, int], Tensor]) -> Tensor:
+    """Sum of shifted maps of every shell with the kernel's weights, ``(B, J, ...)``."""
+    most = kernel.shape[-1] // 2
+    learns = is_exporting() or kernel.requires_grad or band.requires_grad
+    sums = []
+    for number, reach in enumerate(taps):
+        shell = band[:, number : number + 1]
+        weight = kernel[:, number, :, None, None, None]  # (B, taps, 1, 1, 1)
+        total = shifted(shell, 0) * weight[:, most]
+        for tap in range(1, reach + 1):
+            for way in (-tap, tap):
+                more, factor = shifted(shell, way), weight[:, most + way]
+                total = torch.addcmul(total, more, factor) if learns else total.addcmul_(more, factor)
+        sums.append(total)
+    return torch.cat(sums, 1)
+
+
+def _rolled(image: Tensor, shift: int) -> Tensor:
+    return torch.roll(image, -shift, -1) if shift else image
 
 
 def _blend(shift: float, shifted: Callable[[int], Tensor]) -> Tensor:

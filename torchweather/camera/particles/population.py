@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy as shallow_copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,8 +32,9 @@ __all__ = ["Population"]
 
 RATE_CAPACITY_MM_PER_H = {"rain": 100.0, "snow": 10.0}
 FLOOR = 1e-30  # keeps logarithms finite where nothing falls
+ROUNDING = 1 + 1e-4  # of a highest level: more than float32 can move it
 SUMS = 4  # partial sums of the optical depth, filled side by side
-SLOTS_AT_ONCE = 1 << 18  # points whose arrays stay in the cache
+POINTS_AT_ONCE = 1 << 16  # points of all shells whose arrays stay in the cache
 # By which a second use of the draw is displaced in column, row and depth: powers of the root of x^4 = x + 1.
 DISPLACED = (0.8191725134, 0.6710436067, 0.5497004779)
 STEEPEST = 1.6  # longest sideways path over the fall's, in an exported graph: the bound of camera.wind_slant
@@ -44,15 +45,18 @@ COLUMN_U, COLUMN_V, COLUMN_DEPTH, COLUMN_LEVEL, COLUMNS = 0, 1, 2, 3, 4
 
 @dataclass(frozen=True)
 class _Points:
-    """Points ``(P, 4)`` that are rendered alike, and the sample of each (``None``: one sample).
+    """Points ``(P, 4)`` that are rendered alike.
 
     Args:
+        sample: the sample they belong to, of each point in a graph; ``None`` where there is one sample.
+        shell: the shell of each point, or the one that all of them belong to.
         slanted: whether paths lean although the camera stands upright in still air.
         copy: number of the displaced copy; its levels begin there.
     """
 
     points: Tensor
-    sample: Tensor | None
+    sample: Tensor | int | None
+    shell: Tensor | int
     slanted: bool = False
     copy: int = 0
 
@@ -62,7 +66,7 @@ class AtRate:
     """The tables at each sample's rate.
 
     Args:
-        bounds: of each shell, ln of the density of listed particles.
+        bounds: ``(1 or B, shells, nodes)`` ln of the density of listed particles.
         outline_m, fall_speed: over the level.
         haze_depth, haze_variance: over the footprint.
         kernel_along, kernel_across: of each shell of the haze.
@@ -72,7 +76,7 @@ class AtRate:
         path_density: ``(B, 1, H, W)`` mean density in front of the scene; ``None`` likewise.
     """
 
-    bounds: list[Tensor]
+    bounds: Tensor
     outline_m: Tensor
     fall_speed: Tensor
     haze_depth: Tensor
@@ -155,6 +159,14 @@ class Population(nn.Module):
         other._set_motion(ego_speed_m_per_s)
         return other
 
+    def of_samples(self, rows: Tensor) -> Population:
+        """The same particles at the rates of some samples of a batch, ``rows`` ``(n,)``."""
+        if self.rate_mm_per_h.numel() <= 1:
+            return self
+        other = shallow_copy(self)
+        other._buffers = {**self._buffers, "rate_mm_per_h": self.rate_mm_per_h.reshape(-1)[rows]}
+        return other
+
     def _set_motion(self, ego_speed_m_per_s: float) -> None:
         rotation = torch.tensor(self.camera.camera_from_vehicle(), dtype=torch.float64)
         wind = torch.tensor(self.weather.wind_m_per_s, dtype=torch.float64)
@@ -182,6 +194,7 @@ class Population(nn.Module):
         self._keep("along_table", textured.kernel_along)
         self._keep("across_table", textured.kernel_across)
         self.haze_shells = textured.haze
+        self.taps_along, self.taps_across = textured.taps_along, textured.taps_across
 
     def _set_tables(self) -> None:
         t = self.tables
@@ -189,11 +202,11 @@ class Population(nn.Module):
         self._keep("speed", t.log_fall_speed)
         self._keep("depth_table", t.haze_depth)
         self.nearest_foot_m_per_px = tuple(math.exp(float(shell.log_footprint[0])) for shell in t.listed)
-        for number, shell in enumerate(t.listed):
-            # Tables over the footprint, read at the shell's own nodes.
-            self._keep(f"footprint_{number}", np.exp(shell.log_footprint))
-            self._keep(f"tail_at_cut_{number}", t.log_at(t.tail_at_cut, shell.log_footprint))
-            self._keep(f"tail_most_{number}", t.log_at(t.tail_most, shell.log_footprint))
+        # Tables over the footprint, read at each shell's own nodes, (..., shells, nodes).
+        foot = np.stack([shell.log_footprint for shell in t.listed] or [np.zeros(0)])[: len(t.listed)]
+        self._keep("footprints", np.exp(foot))
+        self._keep("tails_at_cut", t.log_at(t.tail_at_cut, foot))
+        self._keep("tails_most", t.log_at(t.tail_most, foot))
 
     def _keep(self, name: str, table: np.ndarray[Any, np.dtype[np.float64]]) -> None:
         values = torch.from_numpy(np.ascontiguousarray(table)).float()
@@ -231,8 +244,20 @@ class Population(nn.Module):
             u, v = self.reach_px(number)
             per_px2 = shell.per_px2 * self.headroom()
             points.append(Variate(f"{kind}_shell_{number}", "points", (), per_px2, u, v, COLUMNS))
-        haze = Variate(f"{kind}_haze", "normal", (len(self.haze_shells), "H", "W"))
+        haze = Variate(f"{kind}_haze", "tabulated_normal", (len(self.haze_shells), "H", "W"))
         return (*points, haze)
+
+    def variates_at_rate(self) -> tuple[Variate, ...]:
+        """The same as far as the particles' own rates show them, at the camera's own focal length."""
+        whole = self.variates()
+        if self.camera.distorted or self.rate_mm_per_h.requires_grad or not self.rate_mm_per_h.numel():
+            return whole
+        tables = self.at_rate(self.rate_mm_per_h.numel())
+        most: Tensor = self.tails_most  # type: ignore[assignment]
+        above = (tables.bounds - most.float()).amax(-1).masked_fill(~tables.falls[:, None], -math.inf)
+        limits = (above.amax(0).clamp_max(0.0).exp() * ROUNDING).clamp_max(1.0).tolist()
+        shells = [replace(one, level_limit=limit) for one, limit in zip(whole[:-1], limits, strict=True)]
+        return (*shells, whole[-1])
 
     def headroom(self) -> float:
         """Slots that the lens distortion asks for, per slot of an undistorted lens; 1 without distortion."""
@@ -305,7 +330,7 @@ class Population(nn.Module):
             return table.float()[index] * (1 - weight) + table.float()[index + 1] * weight
 
         return AtRate(
-            [rows(getattr(self, f"tail_at_cut_{number}")) for number in range(len(self.tables.listed))],
+            rows(self.tails_at_cut),  # type: ignore[arg-type]
             torch.exp(rows(self.outline)),  # type: ignore[arg-type]
             torch.exp(rows(self.speed)),  # type: ignore[arg-type]
             linear(self.depth_table) * amount * low,  # type: ignore[arg-type]
@@ -328,115 +353,166 @@ class Population(nn.Module):
 
         Absent particles are left out; while a graph is traced they stay, with opacity 0.
         """
-        for _, points, sample in self._portions(state, noise, number):
-            for part in self._parts_of(state, points, sample, tables, number):
-                yield self._marks(state, part, tables, number, None)
+        if is_exporting():
+            for part in self._parts_of(state, self._every_point(state, noise, number), tables):
+                yield self._marks(state, part, tables, None)
+            return
+        for row in range(state.batch):
+            for points in self._points_of(state, noise, tables, row, (number,)):
+                for part in self._parts_of(state, points, tables):
+                    yield self._marks(state, part, tables, None)
 
-    def _portions(
-        self, state: CameraState, noise: Mapping[str, Tensor], number: int
-    ) -> Iterator[tuple[int, Tensor, Tensor | None]]:
-        """Points ``(P, 4)`` of a shell and the sample of each (``None``: one sample), in portions.
-
-        A portion holds whole samples or a part of one, and has its number in its sample, so that a batch adds up in
-        the order of its elements.
-        """
+    def _every_point(self, state: CameraState, noise: Mapping[str, Tensor], number: int) -> _Points:
+        """All slots of a shell of all samples, as a graph has them."""
         points = noise[f"{self.weather.kind}_shell_{number}"].to(state.image.signal.device)
         batch, slots, _ = points.shape
-        sample = torch.arange(batch, device=points.device)[:, None].expand(batch, slots)
-        together = batch if is_exporting() else max(1, SLOTS_AT_ONCE // max(1, slots))
-        for row in range(0, batch, together):
-            flat = points[row : row + together].reshape(-1, COLUMNS)
-            whose = None if batch == 1 else sample[row : row + together].reshape(-1)
-            if is_exporting() or together > 1:
-                yield 0, flat, whose
-                continue
-            for portion, start in enumerate(range(0, slots, SLOTS_AT_ONCE)):
-                some = slice(start, start + SLOTS_AT_ONCE)
-                yield portion, flat[some], None if whose is None else whose[some]
+        sample = torch.arange(batch, device=points.device)[:, None].expand(batch, slots).reshape(-1)
+        return _Points(points.reshape(-1, COLUMNS), None if batch == 1 else sample, number)
 
-    def _parts_of(
-        self, state: CameraState, points: Tensor, sample: Tensor | None, tables: AtRate, number: int
-    ) -> Iterator[_Points]:
-        """Points that are rendered alike: samples with slanted paths apart, then what exceeds the slots.
+    def _points_of(
+        self,
+        state: CameraState,
+        noise: Mapping[str, Tensor],
+        tables: AtRate,
+        row: int,
+        shells: Sequence[int],
+    ) -> list[_Points]:
+        """The points of some shells that can be there at the rate of a sample, one shell after the other, in portions.
 
-        A count above what the slots hold comes from displaced copies of the same points, whose levels go on.
+        A portion holds points of one sample, so that a batch adds up as its elements do.
         """
-        parts = [_Points(points, sample)]
-        if state.air.path_tangent is not None and self.vertical:
-            slanted = state.air.path_tangent != 0
-            if is_exporting() or bool(slanted.all()):
-                parts = [_Points(points, sample, slanted=True)]
-            elif sample is not None and bool(slanted.any()):
-                which = _own(slanted, sample)
-                kinds = [(chosen.nonzero().squeeze(1), own) for chosen, own in ((~which, False), (which, True))]
-                parts = [_Points(points[rows], sample[rows], own) for rows, own in kinds]
-        yield from parts
-        count = tables.count
-        if count is None or is_exporting():
-            return
-        most: Tensor = getattr(self, f"tail_most_{number}")
-        own = state.scene.intrinsics.detach().float().expand(state.batch, 4)
-        room = torch.sqrt(own[:, 0] * own[:, 1]) / self.focal_px * (tables.bounds[number].detach() - most).amax(1).exp()
-        wanted = torch.where(count > 1, count.detach() * room, 0.0)
-        for copy in range(1, math.ceil(float(wanted.max()))):
-            for part in parts:
-                yield replace(part, points=_displaced(part.points, copy), copy=copy)
+        device = state.image.signal.device
+        highest = self._highest_levels(state, tables, row)
+        kept = []
+        for number in shells:
+            points = noise[f"{self.weather.kind}_shell_{number}"][row].to(device)
+            self._check_reach(points, number, highest[number], state.sizes)
+            # Of a slot that is not used, the level is ABSENT. Displaced copies go on where these levels end.
+            low = points[:, COLUMN_LEVEL] < min(highest[number], 0.5 * (1.0 + ABSENT))
+            count = int(low.sum())
+            if bool(low[:count].all()):  # as drawn: in order of the levels
+                kept.append(points[:count])
+            else:
+                kept.append(points.index_select(0, low.nonzero().squeeze(1)))
+        counts = torch.tensor([len(points) for points in kept], device=device)
+        shell = torch.repeat_interleave(torch.tensor(list(shells), device=device), counts)
+        every = torch.cat(kept) if kept else torch.zeros(0, COLUMNS, device=device)
+        sample = None if state.batch == 1 else row
+        return [
+            _Points(every[start : start + POINTS_AT_ONCE], sample, shell[start : start + POINTS_AT_ONCE])
+            for start in range(0, len(every), POINTS_AT_ONCE)
+        ]
 
-    def _marks(
-        self, state: CameraState, part: _Points, tables: AtRate, number: int, blocks: DepthBlocks | None
-    ) -> Marks:
-        t, points, sample = self.tables, part.points, part.sample
-        height, width = state.image.signal.shape[-2:]
-        reach_u, reach_v = self.reach_px(number)
-        # A level below `accept` is a particle at this rate; the slots' density belongs to the camera's own focal
-        # length and to an undistorted lens.
+    def _check_reach(self, points: Tensor, number: int, highest: float, sizes: Mapping[str, int]) -> None:
+        """Raise where points that were drawn for a lower rate do not reach the levels of this one."""
+        slots = self.variates()[number].sample_shape(sizes)[0]
+        if len(points) < slots and (not len(points) or float(points[-1, COLUMN_LEVEL]) < min(highest, 1.0)):
+            raise InputValueError(
+                f"ParticleVeil: noise '{self.weather.kind}_shell_{number}' was drawn for a lower rate; it holds "
+                f"{len(points)} of {slots} points. Draw at this rate, or without at_rate=True, which serves every rate."
+            )
+
+    def _highest_levels(self, state: CameraState, tables: AtRate, row: int) -> list[float]:
+        """Of each shell: no particle of a higher level is there at any depth; infinite where that is not known."""
+        if self.camera.distorted:
+            return [math.inf] * len(self.tables.listed)
+        bound = _row_of(tables.bounds.detach(), row)
+        most: Tensor = self.tails_most  # type: ignore[assignment]
+        highest = (bound - most.float()).amax(-1) - _own(self._thinning(state, tables).detach(), row)
+        return (highest.clamp_max(50.0).exp() * ROUNDING).tolist()
+
+    def _thinning(self, state: CameraState, tables: AtRate) -> Tensor:
+        """ln of the slots' density over that of the particles, ``(1 or B,)``.
+
+        The slots' density belongs to the camera's own focal length and to an undistorted lens.
+        """
         intrinsics = state.scene.intrinsics.float()
         focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
         thin = math.log(self.focal_px * self.headroom()) - torch.log(focal)
         if tables.count is not None:
             thin = thin - torch.log(tables.count.float().clamp_min(FLOOR))
-        quantiles, most = getattr(self, f"footprint_{number}").float(), getattr(self, f"tail_most_{number}").float()
-        bound = tables.bounds[number]  # (1 or B, nodes) ln of N_>(D_cut; R)
-        if not self.camera.distorted and not is_exporting():
-            # None of a higher level is there at any depth: most of the slots are for higher rates.
-            highest = float((bound.detach() - most).max() - thin.detach().min())
-            limit = math.exp(min(highest, 50.0)) * (1 + 1e-4) - part.copy  # a little more than rounding can move it
-            some = (points[:, COLUMN_LEVEL] < limit).nonzero().squeeze(1)
-            points, sample = points.index_select(0, some), None if sample is None else sample.index_select(0, some)
+        return thin
+
+    def _parts_of(self, state: CameraState, points: _Points, tables: AtRate) -> Iterator[_Points]:
+        """Points that are rendered alike: as they are, then what exceeds the slots.
+
+        A count above what the slots hold comes from displaced copies of the same points, whose levels go on.
+        """
+        tangent = state.air.path_tangent
+        if tangent is not None and self.vertical:
+            slanted = is_exporting() or bool(_own(tangent, _whole(points.sample)) != 0)
+            points = replace(points, slanted=slanted)
+        yield points
+        count = tables.count
+        if count is None or is_exporting():
+            return
+        row = _whole(points.sample)
+        own = _own(count.detach(), row)
+        if not bool(own > 1):
+            return
+        most: Tensor = self.tails_most  # type: ignore[assignment]
+        focal = _own(torch.sqrt(state.scene.intrinsics[:, 0] * state.scene.intrinsics[:, 1]).detach().float(), row)
+        room = (focal / self.focal_px) * (_row_of(tables.bounds.detach(), row) - most).amax(1).exp()  # (shells,)
+        wanted = torch.ceil(own * room)
+        for copy in range(1, int(wanted.max())):
+            some = (wanted[points.shell] > copy).nonzero().squeeze(1)
+            shell = points.shell[some] if isinstance(points.shell, Tensor) else points.shell
+            moved = replace(points, points=_displaced(points.points[some], copy), shell=shell, copy=copy)
+            yield moved
+
+    def _marks(self, state: CameraState, part: _Points, tables: AtRate, blocks: DepthBlocks | None) -> Marks:
+        t, points, sample, shell = self.tables, part.points, part.sample, part.shell
+        height, width = state.image.signal.shape[-2:]
+        intrinsics = state.scene.intrinsics.float()
+        focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
+        if part.copy:
+            limit = torch.tensor(self._highest_levels(state, tables, _whole(sample)), device=points.device) - part.copy
+            some = (points[:, COLUMN_LEVEL] < _of_shell(limit, shell)).nonzero().squeeze(1)
+            points = points.index_select(0, some)
+            shell = shell.index_select(0, some) if isinstance(shell, Tensor) else shell
         columns = points.T if is_exporting() else points.T.contiguous()
         drawn_u, drawn_v, drawn_depth, drawn_level = (columns[k] for k in range(COLUMNS))
-        thinning = _own(thin, sample)
+        # A level below the cut's is a particle at this rate.
+        thinning = _own(self._thinning(state, tables), sample)
         level = drawn_level + part.copy if part.copy else drawn_level
-        cell, share = _cell(drawn_depth * (len(quantiles) - 1), len(quantiles))
-        cut_level = _read(bound, cell, share, sample)
+        quantiles: Tensor = self.footprints  # type: ignore[assignment]
+        most: Tensor = self.tails_most  # type: ignore[assignment]
+        nodes = quantiles.shape[-1]
+        cell, share = _cell(drawn_depth * (nodes - 1), nodes)
+        if isinstance(shell, Tensor):
+            cut_level = _read(_row_of(tables.bounds, _whole(sample)), cell, share, shell)
+        else:
+            cut_level = _read(tables.bounds[:, shell], cell, share, sample)
         if not self.camera.distorted:
-            log_level = torch.log(level.clamp_min(FLOOR)) + _read(most, cell, share) + thinning
+            log_level = torch.log(level.clamp_min(FLOOR)) + _read(most.float(), cell, share, shell) + thinning
             shown = (drawn_level < ABSENT) & (log_level < cut_level)
             if not is_exporting():
                 seen = shown.nonzero().squeeze(1)
                 drawn_u, drawn_v, cell, share, log_level, cut_level, shown = (
                     one.index_select(0, seen) for one in (drawn_u, drawn_v, cell, share, log_level, cut_level, shown)
                 )
-                sample = None if sample is None else sample.index_select(0, seen)
-        foot = _read(quantiles, cell, share)
+                shell = shell.index_select(0, seen) if isinstance(shell, Tensor) else shell
+        foot = _read(quantiles.float(), cell, share, shell)
+        reach_u, reach_v = (_of_shell(reach, shell) for reach in self._reaches(points))
         u = drawn_u * (width + 2 * reach_u) - (reach_u + 0.5)
         v = drawn_v * (height + 2 * reach_v) - (reach_v + 0.5)
         depth_m = foot * _own(focal, sample)
         stays = state.air.path_tangent is None and state.receiver.row_time_s is None
-        if blocks is not None and stays and max(reach_u, reach_v) < BLOCK_PX and not self.camera.distorted:
-            before = (depth_m < blocks.at(sample, u, v)[1]).nonzero().squeeze(1)
+        if blocks is not None and stays and not self.camera.distorted:
+            hidden = depth_m >= blocks.at(None, u, v)[1]
+            small = torch.stack([reach.reshape(-1) for reach in self._reaches(points)]).amax(0) < BLOCK_PX
+            before = (~(hidden & _of_shell(small, shell))).nonzero().squeeze(1)
             if len(before) < 0.9 * len(u):
                 u, v, foot, depth_m, log_level, cut_level, shown = (
                     one.index_select(0, before) for one in (u, v, foot, depth_m, log_level, cut_level, shown)
                 )
-                sample = None if sample is None else sample.index_select(0, before)
         own, focal_of = _own(intrinsics, sample), _own(focal, sample)
         x, y = self.undistorted(u, v, own)
         enlarged = mark_growth(x, y)
         if self.camera.distorted:
             scale = self.camera.magnification(x, y)
             enlarged = enlarged * scale
-            log_level = torch.log(level.clamp_min(FLOOR)) + _read(most, cell, share)
+            log_level = torch.log(level.clamp_min(FLOOR)) + _read(most.float(), cell, share, shell)
             log_level = log_level + thinning + torch.log(scale)
             shown = (drawn_level < ABSENT) & (log_level < cut_level)
         if tables.banks is not None:
@@ -461,31 +537,37 @@ class Population(nn.Module):
             motion_u, motion_v = self._path_px(x, y, speed, depth_m, own, tangent)
         width_px, opacity = self._blurred(diameter, foot, depth_m)
         marks = Marks(
-            sample=sample,
+            sample=sample if isinstance(sample, Tensor) else None,
             u_px=u,
             v_px=v,
             motion_u_px=motion_u,
             motion_v_px=motion_v,
             width_px=width_px,
-            opacity=torch.where(shown, opacity, torch.zeros_like(opacity)),
+            opacity=opacity * shown,
             depth_m=depth_m,
         )
-        return marks if state.receiver.row_time_s is None else self._row_by_row(marks, state.receiver.row_time_s)
+        row_time_s = state.receiver.row_time_s
+        return marks if row_time_s is None else self._row_by_row(marks, _own(row_time_s, sample))
+
+    def _reaches(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        """``reach_px`` of every shell, ``(shells,)`` each."""
+        reach = [self.reach_px(number) for number in range(len(self.tables.listed))]
+        across, along = zip(*reach, strict=True) if reach else ((), ())
+        return like.new_tensor(across), like.new_tensor(along)
 
     def _density(
-        self, banks: Banks, u: Tensor, v: Tensor, depth_m: Tensor, own: Tensor, sample: Tensor | None
+        self, banks: Banks, u: Tensor, v: Tensor, depth_m: Tensor, own: Tensor, sample: Tensor | int | None
     ) -> Tensor:
         """Density where each of the points is, ``(P,)``."""
         azimuth_rad, level = over_ground(self.camera, *self.undistorted(u, v, own))
         return banks.at_points(azimuth_rad, level * depth_m, sample).clamp_min(FLOOR)
 
-    def _row_by_row(self, marks: Marks, row_time_s: Tensor) -> Marks:
-        """Marks of a rolling shutter, which exposes each row later by ``row_time_s`` ``(B,)``.
+    def _row_by_row(self, marks: Marks, row_s: Tensor) -> Marks:
+        """Marks of a rolling shutter, which exposes each row later by ``row_s``, ``()`` or ``(P,)``.
 
         A particle that falls q rows while the shutter goes on by one meets the rows at ``v / (1 - q)``, v being where
         row 0's exposure finds it. Its path is longer by as much, and each of its pixels sees it as long as before.
         """
-        row_s = _own(row_time_s, marks.sample)
         stretch = 1.0 / (1.0 - marks.motion_v_px * (row_s / self.optics.exposure_s)).clamp_min(SLOWEST)
         v_px = marks.v_px * stretch
         u_px, motion_u = marks.u_px, marks.motion_u_px
@@ -549,52 +631,74 @@ class Population(nn.Module):
                 the fog's transmission to each particle.
             lit: weight with the light of lamps on each particle instead.
         """
+        if is_exporting():
+            return self._every_depth(state, noise, tables, fog_per_m, lit=lit)
         b, _, height, width = state.image.signal.shape
-        depth = state.scene.depth_m.float().expand(b, 1, height, width)
-        blocks = None if is_exporting() else DepthBlocks.of(depth)
-        depth = depth.reshape(-1)
-        # Shells add to these sums in turn, and the sums to each other: the same order on any number of threads.
-        sums = 1 if is_exporting() else SUMS
-        totals = [torch.zeros(b * height * width, device=depth.device, dtype=torch.float32) for _ in range(sums)]
-        weighted = fog_per_m is not None or lit
-        fadeds = [torch.zeros_like(total) if weighted else None for total in totals]
-
-        def add(which: int) -> None:
-            for number in range(len(self.tables.listed)):
-                for portion, points, sample in self._portions(state, noise, number):
-                    if (number + portion) % sums != which:
-                        continue
-                    for part in self._parts_of(state, points, sample, tables, number):
-                        marks = self._marks(state, part, tables, number, blocks)
-                        if lit:
-                            marks = replace(marks, clearness=self._lamplight(marks, state))
-                        elif fog_per_m is not None:
-                            marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m))
-                        place = (marks, depth, (height, width))
-                        if is_exporting():
-                            footprint = self._footprint_px(number, slanted=part.slanted)
-                            totals[which], fadeds[which] = add_static(totals[which], fadeds[which], *place, footprint)
-                        else:
-                            totals[which], fadeds[which] = add_listed(totals[which], fadeds[which], *place, blocks)
-
-        tasks = [partial(add, which) for which in range(sums)]
+        depth_m = state.scene.depth_m.float()
+        blocks, by_columns = DepthBlocks.of(depth_m), depth_m.transpose(-1, -2).flatten(1)
+        points = [self._points_of(state, noise, tables, row, range(len(self.tables.listed))) for row in range(b)]
         moved = (tables.outline_m, tables.count, state.air.path_tangent, state.receiver.row_time_s)
         learns = torch.is_grad_enabled() and any(value is not None and value.requires_grad for value in moved)
-        if is_exporting() or learns:
+        weighted = fog_per_m is not None or lit
+        # Portions add to these sums in turn, and the sums to each other: the same order on any number of threads.
+        # They hold one column after the other: a falling mark lies together.
+        sums = max(1, min(SUMS, max((len(portions) for portions in points), default=0)))
+        totals = [torch.zeros(b, height * width, device=depth_m.device) for _ in range(sums)]
+        fadeds = [torch.zeros_like(total) if weighted else None for total in totals]
+
+        def add(row: int, which: int) -> None:
+            total, whole_faded = totals[which][row], fadeds[which]
+            faded = None if whole_faded is None else whole_faded[row]
+            own_depth = by_columns[row if len(by_columns) > 1 else 0]
+            own_blocks = blocks.of_sample(row)
+            for portion in points[row][which::sums]:
+                for part in self._parts_of(state, portion, tables):
+                    marks = self._marks(state, part, tables, own_blocks)
+                    if lit:
+                        marks = replace(marks, clearness=self._lamplight(marks, state, part.sample))
+                    elif fog_per_m is not None:
+                        marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m, part.sample))
+                    add_listed(total, faded, marks, own_depth, (height, width), own_blocks, by_columns=True)
+
+        tasks = [partial(add, row, which) for row in range(b) for which in range(min(sums, len(points[row])))]
+        if learns:
             for task in tasks:
                 task()
         else:
             side_by_side(tasks)
         total, faded = totals[0], fadeds[0]
         for more, more_faded in zip(totals[1:], fadeds[1:], strict=True):
-            total = total + more if is_exporting() or learns else total.add_(more)
+            total = total + more if learns else total.add_(more)
             faded = None if faded is None or more_faded is None else faded + more_faded
+
+        def by_rows(sum_by_columns: Tensor) -> Tensor:
+            return sum_by_columns.view(b, 1, width, height).transpose(-1, -2).contiguous()
+
+        return by_rows(total), None if faded is None else by_rows(faded)
+
+    def _every_depth(
+        self, state: CameraState, noise: Mapping[str, Tensor], tables: AtRate, fog_per_m: Tensor | None, *, lit: bool
+    ) -> tuple[Tensor, Tensor | None]:
+        """``listed_depth`` of every slot, of one footprint for each shell: no shape depends on a value."""
+        b, _, height, width = state.image.signal.shape
+        depth = state.scene.depth_m.float().expand(b, 1, height, width).reshape(-1)
+        total = torch.zeros(b * height * width, device=depth.device, dtype=torch.float32)
+        faded = torch.zeros_like(total) if fog_per_m is not None or lit else None
+        for number in range(len(self.tables.listed)):
+            for part in self._parts_of(state, self._every_point(state, noise, number), tables):
+                marks = self._marks(state, part, tables, None)
+                if lit:
+                    marks = replace(marks, clearness=self._lamplight(marks, state, part.sample))
+                elif fog_per_m is not None:
+                    marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m, part.sample))
+                footprint = self._footprint_px(number, slanted=part.slanted)
+                total, faded = add_static(total, faded, marks, depth, (height, width), footprint)
         shape = (b, 1, height, width)
         return total.view(shape), None if faded is None else faded.view(shape)
 
-    def _clearness(self, marks: Marks, state: CameraState, fog_per_m: Tensor) -> Tensor:
+    def _clearness(self, marks: Marks, state: CameraState, fog_per_m: Tensor, sample: Tensor | int | None) -> Tensor:
         """Share of each particle's light that the fog lets through, along its ray."""
-        fog, own = _own(fog_per_m, marks.sample), _own(state.scene.intrinsics.float(), marks.sample)
+        fog, own = _own(fog_per_m, sample), _own(state.scene.intrinsics.float(), sample)
         x, y = self.undistorted(marks.u_px, marks.v_px, own)
         return torch.exp(-fog * marks.depth_m * torch.sqrt(1 + x.square() + y.square()))
 
@@ -603,12 +707,12 @@ class Population(nn.Module):
         assert state.air.lamp_light is not None
         return state.air.lamp_light.drop if isinstance(self.weather, Rain) else state.air.lamp_light.flake
 
-    def _lamplight(self, marks: Marks, state: CameraState) -> Tensor:
+    def _lamplight(self, marks: Marks, state: CameraState, sample: Tensor | int | None) -> Tensor:
         """Luminance of each particle by lamps, units of saturation."""
         assert state.air.lamp_light is not None
         size = state.image.signal.shape[-2:]
         values = self.lamp_values(state).expand(state.batch, -1, -1, -1, -1)
-        place = (marks.sample, marks.u_px, marks.v_px, marks.depth_m, (size[0], size[1]))
+        place = (sample, marks.u_px, marks.v_px, marks.depth_m, (size[0], size[1]))
         return state.air.lamp_light.at_points(values, *place)
 
     def _footprint_px(self, number: int, *, slanted: bool = False) -> tuple[int, int]:
@@ -643,9 +747,27 @@ def _displaced(points: Tensor, copy: int) -> Tensor:
     return torch.cat([moved, points[:, COLUMN_LEVEL:]], 1)
 
 
-def _own(values: Tensor, sample: Tensor | None) -> Tensor:
+def _own(values: Tensor, sample: Tensor | int | None) -> Tensor:
     """What belongs to each point's sample, of one row for each sample or one for all; rows are gathered at a cost."""
-    return values[0] if sample is None or (not is_exporting() and len(values) == 1) else values[sample]
+    if sample is None or isinstance(sample, int):
+        return _row_of(values, sample or 0)
+    return values[0] if not is_exporting() and len(values) == 1 else values[sample]
+
+
+def _row_of(values: Tensor, row: int) -> Tensor:
+    """What belongs to one sample, of one row for each sample or one for all."""
+    return values[row if len(values) > 1 else 0]
+
+
+def _whole(sample: Tensor | int | None) -> int:
+    """Number of the one sample that points belong to."""
+    assert not isinstance(sample, Tensor)
+    return sample or 0
+
+
+def _of_shell(values: Tensor, shell: Tensor | int) -> Tensor:
+    """A value of each shell ``(shells,)`` at each point's."""
+    return values[shell] if isinstance(shell, int) else values.index_select(0, shell)
 
 
 def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
@@ -653,12 +775,11 @@ def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
     return cell.long(), (position - cell).clamp(0.0, 1.0)
 
 
-def _read(table: Tensor, cell: Tensor, share: Tensor, row: Tensor | None = None) -> Tensor:
-    """``table (n,)``, or ``table (1 or B, n)`` at a row each, between the nodes ``cell`` and ``cell + 1``."""
-    if row is None or (not is_exporting() and table.numel() == table.shape[-1]):
-        at = cell
+def _read(table: Tensor, cell: Tensor, share: Tensor, row: Tensor | int | None = None) -> Tensor:
+    """``table (n,)``, or ``table (1 or more, n)`` at a row for each or for all, between ``cell`` and ``cell + 1``."""
+    if isinstance(row, Tensor) and (is_exporting() or table.numel() > table.shape[-1]):
+        at, flat = row * table.shape[-1] + cell, table.reshape(-1)
     else:
-        at = row * table.shape[-1] + cell
-    flat = table.reshape(-1)
+        at, flat = cell, table if table.ndim == 1 else _row_of(table, row if isinstance(row, int) else 0)
     low = flat.index_select(0, at)
     return torch.lerp(low, flat.index_select(0, at + 1), share)

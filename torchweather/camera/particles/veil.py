@@ -39,6 +39,9 @@ __all__ = ["REFLECTED_SHARE", "ParticleVeil"]
 
 REFLECTED_SHARE = 0.06  # of the light of a drop comes from its outside: Garg & Nayar 2007, PHYSICS.md 4.1
 DROP_VIEWS = ("frame", "upper")
+BAND_PIXELS = 1 << 16  # whose shells of the haze stay in the cache
+# Fields by which particles of any level may come in: number in the air, focal length.
+CHANGES_LEVELS = frozenset({"air.particle_count", "air.patches", "scene.intrinsics"})
 FAINTEST = 1e-20  # optical depth below which a colour does not matter
 
 
@@ -197,6 +200,15 @@ class ParticleVeil(Stage):
         """Points of every listed shell and the noise maps of the haze, for each kind of particle."""
         return tuple(variate for part in self.parts for variate in part.variates())
 
+    def variates_at_rate(
+        self, batch: int, written: frozenset[str] | None
+    ) -> tuple[tuple[Variate, ...], list[bool] | None]:
+        """Points as far as the rates of a batch show them; samples without particles need none."""
+        if written is None or written & CHANGES_LEVELS:
+            return self.variates(), None
+        cut = tuple(variate for part in self.parts for variate in part.variates_at_rate())
+        return cut, self._falling(batch)
+
     def next_frame(
         self,
         noise: Mapping[str, Tensor],
@@ -281,7 +293,7 @@ class ParticleVeil(Stage):
                 ) -> tuple[Tensor]:
                     return (haze_depth(part, state, noise, table, first, last)[0].expand(shape[0], -1, -1, -1),)
 
-                (haze,) = by_rows(band, shape, one, apart=True)
+                (haze,) = by_rows(band, shape, one, apart=True, band_pixels=BAND_PIXELS)
                 total += sharp.add_(haze)
         return total
 
@@ -303,12 +315,19 @@ class ParticleVeil(Stage):
         if state.image.signal.numel() == 0:
             return state.changed(particle_mask=state.one_plane if state.receiver.keep_truth else None)
         before = state
+        for part in self.parts:
+            part.check_rate()
+        if not is_exporting():
+            falling = self._falling(state.batch)
+            if not any(falling):
+                mask = torch.zeros_like(state.one_plane) if state.receiver.keep_truth else None
+                return state.changed(particle_mask=mask)
+            if not all(falling) and state.air.patches is None and state.air.lamp_light is None:
+                return self._render_some(state, noise, [row for row, falls in enumerate(falling) if falls])
         if state.scene.sky is not None:
             # Particles reach to the far limit in front of the sky. A pixel that is mostly sky shows those, not the few
             # in front of the leaf that it has in part: where the share comes near 1, nothing jumps.
             state = state.changed(depth_m=torch.where(state.scene.sky > 0.5, torch.inf, state.scene.depth_m))
-        for part in self.parts:
-            part.check_rate()
         colours = [state.per_pixel(colour) for colour in self._colours(state)]
         tables = [part.in_air(state) for part in self.parts]
         contrast = state.air.particle_contrast
@@ -358,8 +377,40 @@ class ParticleVeil(Stage):
                 signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
             return (signal, mask.flatten(2, 3)) if state.receiver.keep_truth else (signal,)
 
-        results = by_rows(band, state.image.signal.shape, state.image.signal, apart=True)
+        planes = state.image.signal.shape[1]
+        results = by_rows(
+            band, state.image.signal.shape, state.image.signal, apart=True, band_pixels=planes * BAND_PIXELS
+        )
         return before.changed(signal=results[0], particle_mask=results[1] if state.receiver.keep_truth else None)
+
+    def _falling(self, batch: int) -> list[bool]:
+        """Whether anything falls in each sample; where a rate is learnt, something may."""
+        rates = [part.rate_mm_per_h for part in self.parts]
+        if any(rate.requires_grad for rate in rates):
+            return [True] * batch
+        falls = torch.stack([(rate.detach().reshape(-1) > 0).expand(batch) for rate in rates])
+        found: list[bool] = falls.any(0).tolist()
+        return found
+
+    def _render_some(self, state: CameraState, noise: Mapping[str, Tensor], rows: list[int]) -> CameraState:
+        """The state with some of the samples behind particles; the others stay as they are."""
+        index = torch.tensor(rows, device=state.image.signal.device)
+
+        def own(value: Any, name: str) -> Any:
+            of_each = isinstance(value, Tensor) and value.ndim > 0 and len(value) == state.batch
+            return value.index_select(0, index.to(value.device)) if of_each and name != "cfa_index" else value
+
+        names = [field.partition(".")[2] for field in self.reads]
+        some = state.changed(**{name: own(state.field(name), name) for name in names})
+        other = copy.copy(self)
+        other._modules = dict(self._modules)
+        other.populations = torch.nn.ModuleList(part.of_samples(index) for part in self.parts)
+        after = other._render(some, {key: value[index.to(value.device)] for key, value in noise.items()})
+        signal = state.image.signal.index_copy(0, index, after.image.signal)
+        mask = None
+        if after.image.particle_mask is not None:
+            mask = torch.zeros_like(state.one_plane).index_copy(0, index, after.image.particle_mask)
+        return state.changed(signal=signal, particle_mask=mask)
 
     def _through_fog(self, state: CameraState, colour: Tensor, faded: Tensor, optical: Tensor) -> Tensor:
         """Colour of particles seen through fog: their light fades, the airlight takes its place."""
