@@ -44,13 +44,16 @@ def points_in_sensor_frame(points: Tensor, lidar: Lidar) -> Tensor:
     """
     if not is_apart(lidar):
         return points
-    here = points[..., :3]
-    wide = here if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export() else here.double()
-    local = wide - wide.new_tensor(lidar.origin_m)
+    here, more = points[..., :3].unbind(-1), points[..., 3:].unbind(-1)
+    wide = here if _in_graph() else tuple(column.double() for column in here)
+    local: Sequence[Tensor] = [
+        column - offset if offset else column for column, offset in zip(wide, lidar.origin_m, strict=True)
+    ]
     if lidar.rotation is not None:
-        local = local @ wide.new_tensor(lidar.rotation)
-    local = torch.where((here == 0).all(-1, keepdim=True), torch.zeros_like(here), local.to(here))
-    return torch.cat([local, points[..., 3:]], -1)
+        local = _turned(local, lidar.rotation, back=False)
+    there = holds_return(points)
+    columns = [torch.where(there, column.to(points), 0.0) for column in local]
+    return torch.stack([*columns, *more], -1)
 
 
 def points_in_cloud_frame(
@@ -70,20 +73,44 @@ def points_in_cloud_frame(
     """
     if not is_apart(lidar) and height_m is None:
         return values
-    here = values[..., :3]
-    wide = here if torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export() else here.double()
+    # Column by column: several times faster than under masks of one column.
+    here, start = values[..., :3].unbind(-1), local[..., :3].unbind(-1)
+    shifted = [*(bool(offset) for offset in lidar.origin_m[:2]), height_m is not None or bool(lidar.origin_m[2])]
+    wide: Sequence[Tensor] = [
+        column if _in_graph() or not (shift or lidar.rotation) else column.double()
+        for column, shift in zip(here, shifted, strict=True)
+    ]
     if height_m is not None:
-        x, y, z = wide.unbind(-1)
-        wide = torch.stack([x, y, z + height_m.to(wide)], -1)
+        wide = [*wide[:2], wide[2] + height_m.to(wide[2])]
     if lidar.rotation is not None:
-        wide = wide @ wide.new_tensor(lidar.rotation).T
-    moved = (wide + wide.new_tensor(lidar.origin_m)).to(here)
+        wide = _turned(wide, lidar.rotation, back=True)
+    untouched = (here[0] == start[0]) & (here[1] == start[1]) & (here[2] == start[2])
+    there = holds_return(values)
     more = values.shape[-2] - given.shape[-2]
-    came = torch.nn.functional.pad(given[..., :3].to(here), (0, 0, 0, more))
-    nothing = (here == 0).all(-1, keepdim=True)
-    untouched = (here == local[..., :3]).all(-1, keepdim=True)
-    moved = torch.where(nothing, torch.zeros_like(here), moved)
-    return torch.cat([torch.where(untouched, came, moved), values[..., 3:]], -1)
+    columns = []
+    for column, offset, came in zip(wide, lidar.origin_m, given[..., :3].unbind(-1), strict=True):
+        moved = torch.where(there, (column + offset).to(values), 0.0)
+        own = came.to(values) if not more else torch.nn.functional.pad(came.to(values), (0, more))
+        columns.append(torch.where(untouched, own, moved))
+    return torch.stack([*columns, *values[..., 3:].unbind(-1)], -1)
+
+
+def holds_return(points: Tensor) -> Tensor:
+    """Rows of a cloud ``(..., N, 3 or more)`` that do not lie at the origin, ``(..., N)`` bool."""
+    x, y, z = points[..., :3].unbind(-1)
+    return (x != 0) | (y != 0) | (z != 0)
+
+
+def _in_graph() -> bool:
+    """True while a graph is made, which computes in single precision."""
+    return torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export()
+
+
+def _turned(columns: Sequence[Tensor], rotation: Rotation, *, back: bool) -> Sequence[Tensor]:
+    """Columns x, y, z times a rotation: out of the cloud's frame, or ``back`` into it."""
+    xyz = torch.stack(list(columns), -1)
+    turn = xyz.new_tensor(rotation)
+    return (xyz @ (turn.T if back else turn)).unbind(-1)
 
 
 def directions_in_sensor_frame(directions: Tensor | None, lidar: Lidar) -> Tensor | None:

@@ -550,7 +550,7 @@ class ParticleReturns(Stage):
             beam = self.beam.widened(state.receiver.extra_divergence_rad.repeat_interleave(SECTORS, 0))
         own = (state.air.density_scale, air, state.air.size_factors)
         of_sectors = (beam, extinction.repeat_interleave(SECTORS, 0), each(own[0]), own[1], each(own[2]))
-        between, places = part.between(*of_sectors), part.places(*of_sectors)
+        between, places = part.tables(*of_sectors)
         sector = sector_of(_azimuth_and_level(state)[0])
         reach_m = state.air.reach_m.to(extinction.dtype)
         reach = part.grid.position(reach_m)
@@ -573,8 +573,7 @@ class ParticleReturns(Stage):
         inputs += [value for value in (density, sizes) if value is not None]
 
         def solved(own: Tensor) -> ReturnTable:
-            between = part.between(beam, own, density, sizes=sizes)
-            return ReturnTable.of(between, part.places(beam, own, density, sizes=sizes))
+            return ReturnTable.of(*part.tables(beam, own, density, sizes=sizes))
 
         if is_exporting() or any(value.requires_grad for value in inputs):
             return solved(extinction)

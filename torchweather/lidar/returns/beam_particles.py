@@ -194,7 +194,9 @@ class BeamParticles(nn.Module):
         others = torch.minimum(others, held)
         if density is not None:
             others = others * density.flatten(1)[..., None]
-        share = ((outline_m / beam_of).clamp_max(1.0).square() + others).expand(ratio.shape[0], -1, -1)  # rising over D
+        # Rising over D; in place, as fresh memory for 400,000 numbers costs more than the arithmetic on them.
+        square = (outline_m / beam_of).clamp_max_(1.0).square_()
+        share = others.add_(square).expand(ratio.shape[0], -1, -1)
         wanted = ratio.flatten(2).transpose(1, 2).contiguous()  # (B, places, E)
         if is_exporting():
             found = last_below(
@@ -285,15 +287,16 @@ class BeamParticles(nn.Module):
         row = ((torch.log(signal.clamp_min(1e-30)) - self.log_low) / self.log_step).clamp(0.0, SIGNAL_NODES - 1)
         return expected_number(self.between(beam, extinction_per_m), row, self.grid.position(reach_m))
 
-    def places(
+    def tables(
         self,
         beam: Beam,
         extinction_per_m: Tensor,
         density_scale: Tensor | None = None,
         air: BanksAlongBeams | None = None,
         sizes: Tensor | None = None,
-    ) -> None:
-        """Where particles of a signal are follows from ``between``."""
+    ) -> tuple[Tensor, None]:
+        """Lambda as ``between``; where the particles of a signal are follows from it. Arguments as of ``between``."""
+        return self.between(beam, extinction_per_m, density_scale, air, sizes), None
 
     def start(self, reach_m: Tensor) -> Tensor | None:
         """Place on the grid from which particles count; ``None`` is its first node."""

@@ -215,26 +215,28 @@ class SoftReturn(nn.Module):
             air: patches along each of the B beams; ``None`` is the same everywhere.
             sizes: of particles that are seen one by one; droplets are not.
         """
-        photons, slope = self._photons(beam, extinction_per_m, density_scale, air)
-        steep = slope.abs()
-        chance = torch.exp(-0.5 * steep.square()) / math.sqrt(2.0 * math.pi) - steep * torch.special.ndtr(-steep)
-        per_m = self._read(self.mills_table, photons) * chance.clamp_min(0.0)[:, None]
-        crossed = self.grid.integrated(_apart(per_m)) * (math.sqrt(SLOPE_SQUARE) / self.pulse_length_m)
-        return self._risen(photons) + crossed
+        return self.tables(beam, extinction_per_m, density_scale, air)[0]
 
-    def places(
+    def tables(
         self,
         beam: Beam,
         extinction_per_m: Tensor,
         density_scale: Tensor | None = None,
         air: BanksAlongBeams | None = None,
         sizes: Tensor | None = None,
-    ) -> Tensor:
-        """Weight of the places up to each node of range for a reading between two nodes, ``(B, E, P)``."""
+    ) -> tuple[Tensor, Tensor]:
+        """Lambda as ``between``, and the weight of the places up to each node of range, of its shape.
+
+        The weight is that of a reading between two nodes. Arguments as of ``between``.
+        """
         photons, slope = self._photons(beam, extinction_per_m, density_scale, air)
+        steep, risen, mills = slope.abs(), self._risen(photons), self._read(self.mills_table, photons)
+        chance = torch.exp(-0.5 * steep.square()) / math.sqrt(2.0 * math.pi) - steep * torch.special.ndtr(-steep)
+        per_m = mills * chance.clamp_min(0.0)[:, None]
+        crossed = self.grid.integrated(_apart(per_m)) * (math.sqrt(SLOPE_SQUARE) / self.pulse_length_m)
         alike = torch.exp(-0.5 * slope.square())
-        weight = self.grid.integrated(_apart(self._read(self.mills_table, photons) * alike[:, None]))
-        return weight + RISING * self._risen(photons)
+        weight = self.grid.integrated(_apart(mills * alike[:, None]))
+        return risen + crossed, weight + RISING * risen
 
     def _photons(
         self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None, air: BanksAlongBeams | None
@@ -286,10 +288,10 @@ class SoftReturn(nn.Module):
 
         ``(B, N)``; summed over the readings between two nodes, for a reach at each node of range.
         """
-        above = self.between(beam, extinction_per_m).flip(1).cumsum(1).flip(1)  # (B, E, P)
+        between, places = self.tables(beam, extinction_per_m)
+        above = between.flip(1).cumsum(1).flip(1)  # (B, E, P)
         none = torch.exp(-above)
         read = torch.cat([none[:, 1:], torch.ones_like(none[:, :1])], 1) - none
-        places = self.places(beam, extinction_per_m)
         reach = torch.arange(self.grid.nodes).to(places)
         near = self.grid.position((self.grid.range_m(reach) - apart_m).clamp_min(self.grid.near_m))
         node = near.floor().clamp_max(self.grid.nodes - 2).to(torch.int64)

@@ -26,6 +26,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torchweather.pipeline.tiling import is_exporting
+
 __all__ = ["ReturnTable", "expected_number", "last_below", "strongest_before", "table_at"]
 
 FEW = 1e-20  # expected number that stands for none, so that logarithms stay finite
@@ -134,19 +136,16 @@ class ReturnTable:
         """
         where = between if places_of is None else places_of
         batch, signals, places = between.shape
-        step = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
-        arrivals = torch.exp(math.log(ARRIVAL_LOW) + step * torch.arange(ARRIVAL_NODES).to(between))
-        reach = torch.arange(places).to(between)[:, None].expand(places, ARRIVAL_NODES).reshape(1, -1)
-        signal = _signal(between, arrivals.repeat(places).expand(batch, -1), reach.expand(batch, -1))
         end = where[..., -1:]
         v = torch.arange(PLACE_NODES).to(between) / (PLACE_NODES - 1)
-        base = (torch.arange(signals, device=between.device) * places)[:, None].expand(signals, PLACE_NODES)
         # Short of 1: W stays at its end behind the last particle of a signal, whose place is where it gets there.
-        wanted = (end * (1.0 - (1.0 - v * v).square()).clamp_max(LAST_PLACE)).flatten(1)
+        wanted = end * (1.0 - (1.0 - v * v).square()).clamp_max(LAST_PLACE)
         cells = where.reshape(batch, signals * places)
-        place = _place(cells, base.reshape(1, -1).expand(batch, -1), wanted, places)
+        found = None if is_exporting() else _last_not_above(where, wanted).flatten(1)
+        base = (torch.arange(signals, device=between.device) * places)[:, None].expand(signals, PLACE_NODES)
+        place = _place(cells, base.reshape(1, -1).expand(batch, -1), wanted.flatten(1), places, found)
         share = (where / end.clamp_min(FEW)).flatten(1)
-        return cls(signal, share, place, places, signals)
+        return cls(_signals_on_nodes(between), share, place, places, signals)
 
     def expanded(self, batch: int) -> ReturnTable:
         """A table of one sample for so many, without a copy."""
@@ -202,9 +201,41 @@ def _signal(
     return row + ((log_above - arrivals.clamp_min(FEW).log()) / fall).clamp(-FAINTER, 1.0)
 
 
-def _place(cells: Tensor, base: Tensor, wanted: Tensor, places: int) -> Tensor:
-    """Solve ``W(r) = wanted`` for the range, W being the cells from ``base`` on."""
-    found = last_below(lambda j: cells.gather(1, base + j) <= wanted, torch.zeros_like(base), places - 1)
+def _signals_on_nodes(between: Tensor) -> Tensor:
+    """`_signal` at every node of the reach and of the arrival, ``(B, P * ARRIVAL_NODES)``.
+
+    An arrival lies above as many rows of Lambda as the other way round: each Lambda is placed among the arrivals, which
+    are fewer questions, and the rows are counted.
+    """
+    batch, signals, places = between.shape
+    step = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
+    arrivals = torch.exp(math.log(ARRIVAL_LOW) + step * torch.arange(ARRIVAL_NODES).to(between))
+    if is_exporting():
+        reach = torch.arange(places).to(between)[:, None].expand(places, ARRIVAL_NODES).reshape(1, -1)
+        return _signal(between, arrivals.repeat(places).expand(batch, -1), reach.expand(batch, -1))
+    above = _above(between).transpose(1, 2).contiguous()  # (B, P, E), falling over E
+    smaller = torch.bucketize(above.detach(), arrivals)  # arrivals below each Lambda
+    counts = torch.zeros(batch, places, ARRIVAL_NODES + 1, dtype=torch.int32, device=above.device)
+    counts.scatter_add_(2, smaller, torch.ones_like(smaller, dtype=torch.int32))
+    larger = signals - counts.cumsum(2, dtype=torch.int32)[..., :-1]  # rows of Lambda above each arrival
+    row = (larger - 1).clamp(0, signals - 2).to(torch.int64)
+    # A power law inside the cell: Lambda falls by a factor from node to node.
+    logs = above.clamp_min(FEW).log()
+    fall = (logs[..., :-1] - logs[..., 1:]).clamp_min(1e-6)
+    within = (logs.gather(2, row) - arrivals.clamp_min(FEW).log()) / fall.gather(2, row)
+    return (row + within.clamp(-FAINTER, 1.0)).flatten(1)
+
+
+def _last_not_above(rising: Tensor, wanted: Tensor) -> Tensor:
+    """Last of the cells ``(B, E, P)``, but for the end, that is not above each wanted value ``(B, E, n)``."""
+    found = torch.searchsorted(rising.detach().contiguous(), wanted.detach().contiguous(), right=True) - 1
+    return found.clamp(0, rising.shape[-1] - 2)
+
+
+def _place(cells: Tensor, base: Tensor, wanted: Tensor, places: int, found: Tensor | None = None) -> Tensor:
+    """Solve ``W(r) = wanted`` for the range, W being the cells from ``base`` on; its cell may be ``found`` already."""
+    if found is None:
+        found = last_below(lambda j: cells.gather(1, base + j) <= wanted, torch.zeros_like(base), places - 1)
     low, high = cells.gather(1, base + found), cells.gather(1, base + found + 1)
     return found + ((wanted - low) / (high - low).clamp_min(FEW)).clamp(0.0, 1.0)
 

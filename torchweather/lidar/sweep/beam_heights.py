@@ -5,8 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchweather.lidar.cloud_frame import holds_return
 from torchweather.lidar.laser_blocks import height_blocks
 from torchweather.lidar.sensor import Lidar
+from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["beam_heights_m"]
 
@@ -35,7 +37,7 @@ def beam_heights_m(points: Tensor, sensor: Lidar, ring: Tensor | None = None) ->
     heights = sensor.origin_heights_m
     if heights is None or not any(heights):
         return None
-    there = (points[..., :3] != 0).any(-1)
+    there = holds_return(points)
     values = sorted(set(heights))
     if len(values) == 1:
         return torch.where(there, values[0], 0.0).to(points)
@@ -45,18 +47,33 @@ def beam_heights_m(points: Tensor, sensor: Lidar, ring: Tensor | None = None) ->
         of_ring = points.new_tensor(heights)
         known = there & (ring >= 0) & (ring < len(heights))
         return torch.where(known, of_ring[ring.clamp(0, len(heights) - 1)], 0.0)
-    flat = points[..., :2].norm(dim=-1)
-    best = torch.full_like(flat, torch.inf)
-    found = torch.zeros_like(flat)
+    x, y, z = points[..., :3].unbind(-1)
+    flat = (x * x + y * y).sqrt()
+    found = best = None
     elevations = sensor.elevations_deg or ()
     for members in height_blocks(heights):
         middle = sum(heights[ring] for ring in members) / len(members)
         order = sorted(members, key=lambda ring: elevations[ring])
         rising = points.new_tensor([elevations[ring] for ring in order])
         own = points.new_tensor([heights[ring] for ring in order])
-        elevation = torch.rad2deg(torch.atan2(points[..., 2] - middle, flat))
-        place = (elevation[..., None] > 0.5 * (rising[1:] + rising[:-1])).sum(-1)
-        distance = (elevation - rising[place]).abs()
-        found = torch.where(distance < best, own[place], found)
-        best = torch.minimum(distance, best)
+        elevation = torch.rad2deg(torch.atan2(z - middle, flat))
+        place = _number_below(0.5 * (rising[1:] + rising[:-1]), elevation)
+        height, distance = _values_at(own, place), (elevation - _values_at(rising, place)).abs()
+        if found is None or best is None:
+            found, best = height, distance
+        else:
+            found, best = torch.where(distance < best, height, found), torch.minimum(distance, best)
+    assert found is not None
     return torch.where(there, found, 0.0)
+
+
+def _number_below(rising: Tensor, values: Tensor) -> Tensor:
+    """How many entries of a rising row lie below each value."""
+    if is_exporting():
+        return (values[..., None] > rising).sum(-1)
+    return torch.bucketize(values, rising)
+
+
+def _values_at(table: Tensor, place: Tensor) -> Tensor:
+    """Entries of a row at places of any shape."""
+    return table.index_select(0, place.reshape(-1)).view(place.shape)
