@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError, owner_name
-from torchweather.lidar.cloud_frame import points_in_sensor_frame
+from torchweather.lidar.cloud_frame import holds_return, points_in_sensor_frame, with_column
 from torchweather.lidar.scan import recover_ring
 from torchweather.lidar.sensor import Lidar, unit_directions
 from torchweather.lidar.sweep.beam_ends import BeamEnd, beam_ends, ways_above_ground
@@ -167,23 +167,22 @@ def _beams_of(
             return beams
         there = (beams.empty_direction != 0).any(-1) if beams.empty_direction is not None else beams.end_m > 0
         return replace(beams, end_m=torch.where(there, sensor.max_range_m, beams.end_m))
-    height_m = beam_heights_m(flat, sensor)
+    there = holds_return(flat)
+    height_m = beam_heights_m(flat, sensor, there=there)
     words = "the rows that exist; a row without return has no direction and stays empty"
-    beams = Beams(_lowered(flat, height_m), None, None, None, height_m, None, words, 0)
+    beams = Beams(_lowered(flat, height_m, there), None, None, None, height_m, None, words, 0)
     if is_exporting():
         return beams
     beams = replace(beams, first_row=_pairs(beams.points, sensor))
-    there = (flat[..., :3] != 0).any(-1)
     return replace(beams, end=torch.where(there, int(BeamEnd.RETURN), int(BeamEnd.UNKNOWN)).to(torch.int8))
 
 
-def _lowered(flat: Tensor, height_m: Tensor | None) -> Tensor:
-    """The cloud from where its beams start; rows at the origin hold no return and stay there."""
+def _lowered(flat: Tensor, height_m: Tensor | None, there: Tensor | None = None) -> Tensor:
+    """The cloud from where its beams start; rows at the origin hold no return and stay there (not in ``there``)."""
     if height_m is None:
         return flat
-    x, y, z, *more = flat.unbind(-1)
-    there = (x != 0) | (y != 0) | (z != 0)
-    return torch.stack([x, y, torch.where(there, z - height_m.to(z), z), *more], -1)
+    z = flat[..., 2]
+    return with_column(flat, 2, torch.where(holds_return(flat) if there is None else there, z - height_m.to(z), z))
 
 
 def _fitting(directions: Tensor, points: Tensor, owner: object) -> Tensor:
@@ -207,7 +206,7 @@ def _with_ends(beams: Beams, sensor: Lidar) -> Beams:
     """The beams of an organised cloud with the ends of those without return."""
     points, along = beams.points, beams.empty_direction
     assert along is not None
-    returns = (points[..., :3].square().sum(-1) > sensor.min_range_m**2) & (points[..., :3] != 0).any(-1)
+    returns = (points[..., :3].square().sum(-1) > sensor.min_range_m**2) & holds_return(points)
     end_m = torch.full(returns.shape, torch.inf, dtype=points.dtype)
     end = torch.full(returns.shape, int(BeamEnd.RETURN), dtype=torch.int8)
     for sample, hit in enumerate(returns.cpu()):

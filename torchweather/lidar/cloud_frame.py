@@ -73,26 +73,38 @@ def points_in_cloud_frame(
     """
     if not is_apart(lidar) and height_m is None:
         return values
-    # Column by column: several times faster than under masks of one column.
-    here, start = values[..., :3].unbind(-1), local[..., :3].unbind(-1)
-    shifted = [*(bool(offset) for offset in lidar.origin_m[:2]), height_m is not None or bool(lidar.origin_m[2])]
-    wide: Sequence[Tensor] = [
-        column if _in_graph() or not (shift or lidar.rotation) else column.double()
-        for column, shift in zip(here, shifted, strict=True)
-    ]
+    x, y, z = values[..., :3].unbind(-1)
+    start_x, start_y, start_z = local[..., :3].unbind(-1)
+    untouched = (x == start_x) & (y == start_y) & (z == start_z)
+    there = holds_return(values)
+    more = values.shape[-2] - given.shape[-2]
+
+    def column(moved: Tensor, place: int) -> Tensor:
+        came = given[..., place].to(values)
+        own = torch.nn.functional.pad(came, (0, more)) if more else came
+        return torch.where(untouched, own, torch.where(there, moved.to(values), 0.0))
+
+    if not is_apart(lidar):
+        assert height_m is not None
+        return with_column(values, 2, column(z + height_m.to(z) if _in_graph() else z.double() + height_m.double(), 2))
+    wide: Sequence[Tensor] = (x, y, z) if _in_graph() else (x.double(), y.double(), z.double())
     if height_m is not None:
         wide = [*wide[:2], wide[2] + height_m.to(wide[2])]
     if lidar.rotation is not None:
         wide = _turned(wide, lidar.rotation, back=True)
-    untouched = (here[0] == start[0]) & (here[1] == start[1]) & (here[2] == start[2])
-    there = holds_return(values)
-    more = values.shape[-2] - given.shape[-2]
-    columns = []
-    for column, offset, came in zip(wide, lidar.origin_m, given[..., :3].unbind(-1), strict=True):
-        moved = torch.where(there, (column + offset).to(values), 0.0)
-        own = came.to(values) if not more else torch.nn.functional.pad(came.to(values), (0, more))
-        columns.append(torch.where(untouched, own, moved))
-    return torch.stack([*columns, *values[..., 3:].unbind(-1)], -1)
+    moved = [column(one + offset, place) for place, (one, offset) in enumerate(zip(wide, lidar.origin_m, strict=True))]
+    return torch.stack([*moved, *values[..., 3:].unbind(-1)], -1)
+
+
+def with_column(points: Tensor, place: int, values: Tensor) -> Tensor:
+    """A cloud ``(..., N, C)`` with one of its columns replaced by ``(..., N)``."""
+    if _in_graph():
+        columns = list(points.unbind(-1))
+        columns[place] = values
+        return torch.stack(columns, -1)
+    changed = points.clone()
+    changed[..., place] = values
+    return changed
 
 
 def holds_return(points: Tensor) -> Tensor:

@@ -447,8 +447,15 @@ class ParticleReturns(Stage):
         """How many returns of each kind a beam has at most."""
         return ", ".join(f"{kind}_echoes={part.echoes}" for kind, part in self.kinds.items())
 
-    def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
-        """The state with an echo more for each return that a beam may have."""
+    def forward(
+        self, state: LidarState, noise: Mapping[str, Tensor], *, faintest: Tensor | None = None
+    ) -> LidarState:
+        """The state with an echo more for each return that a beam may have.
+
+        Args:
+            state, noise: as of every stage.
+            faintest: signal below which an echo may be left out, for a chain that does not look at fainter ones.
+        """
         extinction = state.air.extinction_per_m
         if extinction is None:
             extinction = torch.zeros(state.batch, dtype=state.returns.signal.dtype, device=state.returns.signal.device)
@@ -462,7 +469,7 @@ class ParticleReturns(Stage):
         for kind, part in self.kinds.items():
             arrival, place = noise[f"{kind}_arrival"], noise[f"{kind}_place"]
             drawn = self._drawn if state.air.patches is None else self._drawn_in_patches
-            range_m, signal = drawn(part, beam, extinction, arrival, place, state)
+            range_m, signal = drawn(part, beam, extinction, arrival, place, state, faintest)
             ranges.append(range_m.to(state.returns.range_m.dtype))
             signals.append(signal.to(state.returns.signal.dtype))
         kinds = [state.returns.kind, *(torch.full_like(more, PARTICLE, dtype=torch.int8) for more in ranges[1:])]
@@ -510,6 +517,7 @@ class ParticleReturns(Stage):
         arrival: Tensor,
         place: Tensor,
         state: LidarState,
+        faintest: Tensor | None,
     ) -> tuple[Tensor, Tensor]:
         """Range and signal, ``(B, N, echoes)``; 0 where there is no such return."""
         reach_m = state.air.reach_m.to(extinction.dtype)
@@ -517,6 +525,10 @@ class ParticleReturns(Stage):
         density, sizes = state.air.density_scale, state.air.size_factors
         table = self._table(part, beam, extinction, density, sizes) if start is None else None
         between = None if table is not None else part.between(beam, extinction, density, sizes=sizes)
+
+        if table is not None and not is_exporting():
+            own = (table, state.air.beam_density, faintest)
+            return _echoes_of_table(part, beam, reach_m, arrival, place, *own)
 
         def strongest(arrived: Tensor, own_place: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             if table is not None:
@@ -534,6 +546,7 @@ class ParticleReturns(Stage):
         arrival: Tensor,
         place: Tensor,
         state: LidarState,
+        faintest: Tensor | None,
     ) -> tuple[Tensor, Tensor]:
         """As ``_drawn``, each beam in the air of its sector, level with the ground."""
         assert state.air.patches is not None
@@ -614,10 +627,7 @@ def _echoes(
     """
     ranges, signals = [], []
     arrived = torch.zeros_like(reach_m)
-    # d times as many particles: d Lambda = E. Fog is no list of particles; of it there is d times the light.
-    counted = isinstance(part, BeamParticles)
-    own = None if density is None else density.to(reach_m)
-    per_density = None if own is None or not counted else own.clamp_min(THINNEST).reciprocal()
+    counted, own, per_density = _of_density(part, density, reach_m)
     for echo in range(part.echoes):
         arrived = arrived + exponential(arrival[:, echo].to(reach_m))
         reached = arrived if per_density is None else arrived * per_density
@@ -626,6 +636,108 @@ def _echoes(
         ranges.append(torch.minimum(part.grid.range_m(column), reach_m) * exists)
         signals.append(signal if own is None or counted else signal * own)
     return torch.stack(ranges, 1).transpose(1, 2), torch.stack(signals, 1).transpose(1, 2)
+
+
+def _of_density(
+    part: BeamParticles | SoftReturn, density: Tensor | None, like: Tensor
+) -> tuple[bool, Tensor | None, Tensor | None]:
+    """Whether a beam's density counts particles, the density, and what its arrivals are multiplied by."""
+    # d times as many particles: d Lambda = E. Fog is no list of particles; of it there is d times the light.
+    counted = isinstance(part, BeamParticles)
+    own = None if density is None else density.to(like)
+    return counted, own, None if own is None or not counted else own.clamp_min(THINNEST).reciprocal()
+
+
+def _echoes_of_table(
+    part: BeamParticles | SoftReturn,
+    beam: Beam,
+    reach_m: Tensor,
+    arrival: Tensor,
+    place: Tensor,
+    table: ReturnTable,
+    density: Tensor | None,
+    faintest: Tensor | None,
+) -> tuple[Tensor, Tensor]:
+    """As ``_echoes``, read from a table; no more echoes than any beam has, and of each only the beams that have it.
+
+    A beam without a strongest particle has no next strongest.
+
+    Args:
+        part, beam, reach_m, arrival, place, density: as of ``_echoes``.
+        table: the solutions.
+        faintest: signal from which on an echo counts; ``None``: all that the table knows.
+    """
+    of_samples = [
+        _echoes_of_beams(
+            part,
+            beam,
+            reach_m[sample],
+            arrival[sample],
+            place[sample],
+            table.of_sample(sample),
+            None if density is None else density[sample if len(density) > 1 else 0],
+            faintest,
+        )
+        for sample in range(len(reach_m))
+    ]
+    most = max((len(ranges) for ranges, _ in of_samples), default=1)
+    if not of_samples:
+        nothing = reach_m.new_zeros(0, reach_m.shape[1], 1)
+        return nothing, nothing
+    nothing = torch.zeros_like(reach_m[0])
+    joined = [
+        torch.stack([torch.stack([*echoes, *[nothing] * (most - len(echoes))]) for echoes in each])
+        for each in zip(*of_samples, strict=True)
+    ]
+    return joined[0].transpose(1, 2), joined[1].transpose(1, 2)
+
+
+def _echoes_of_beams(
+    part: BeamParticles | SoftReturn,
+    beam: Beam,
+    reach_m: Tensor,
+    arrival: Tensor,
+    place: Tensor,
+    table: ReturnTable,
+    density: Tensor | None,
+    faintest: Tensor | None,
+) -> tuple[list[Tensor], list[Tensor]]:
+    """Ranges and signals ``(N,)`` of each echo of one sample; the first always, the others where a beam has one.
+
+    Args:
+        part, beam, table, faintest: as of ``_echoes_of_table``.
+        reach_m, density: ``(N,)``.
+        arrival, place: ``(echoes, N)``.
+    """
+    counted, own, per_density = _of_density(part, density, reach_m)
+    reach = part.grid.position(reach_m)
+    alive: Tensor | None = None  # the beams that had the echo before; None is all
+    arrived = torch.zeros_like(reach_m)
+    ranges: list[Tensor] = []
+    signals: list[Tensor] = []
+    for echo in range(part.echoes):
+        within, far_m = _at(reach, alive), _at(reach_m, alive)
+        arrived = arrived + exponential(_at(arrival[echo], alive).to(reach_m))
+        reached = arrived if per_density is None else arrived * _at(per_density, alive)
+        row = table.signal_before(reached[None], within[None])[0]
+        exists = row > 0.0
+        signal = part.signal_at(row.clamp_min(0.0), beam) * exists
+        signal = signal if own is None or counted else signal * _at(own, alive)
+        here = (exists if faintest is None else exists & (signal >= faintest)).nonzero()[:, 0]
+        if ranges and not len(here):
+            break
+        alive = here if alive is None else alive[here]
+        row, signal, arrived = row[here], signal[here], arrived[here]
+        drawn = _at(place[echo], alive).to(reach_m)
+        column = table.place_before(row[None], drawn[None], within[here][None])[0]
+        range_m = torch.minimum(part.grid.range_m(column), far_m[here])
+        ranges.append(torch.zeros_like(reach_m).index_copy(0, alive, range_m))
+        signals.append(torch.zeros_like(reach_m).index_copy(0, alive, signal.to(reach_m)))
+    return ranges, signals
+
+
+def _at(values: Tensor, beams: Tensor | None) -> Tensor:
+    return values if beams is None else values[beams]
 
 
 def _all_alike(values: Tensor) -> bool:
@@ -672,12 +784,45 @@ class Detection(SensorStage):
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the reported echoes: one, or two of a dual-return sensor."""
-        threshold, clear_range_m = state.detected_from, state.scene.clear_range_m
         every = [state.returns.range_m, state.returns.signal, state.returns.kind]
         if (speed := state.returns.echo_speed_m_per_s) is not None:
             more = state.returns.range_m.shape[-1] - speed.shape[-1]
             every.append(torch.nn.functional.pad(speed, (0, more)) if more else speed)
         echoes = [_Echoes(*parts) for parts in zip(*(values.unbind(-1) for values in every), strict=True)]
+        chosen = self._chosen_of(echoes, state.detected_from, state.scene.clear_range_m)
+        columns = zip(*(echo.parts for echo in chosen), strict=True)
+        names = ("range_m", "signal", "kind", "echo_speed_m_per_s")
+        joined = [torch.stack(values, 1).transpose(1, 2) for values in columns]
+        return state.changed(**dict(zip(names, joined, strict=False)))
+
+    def _chosen_of(self, echoes: Sequence[_Echoes], threshold: Tensor, clear_range_m: Tensor) -> list[_Echoes]:
+        """The reported echoes. Beams in which nothing but the object is seen, most of them, have no choice."""
+        if is_exporting() or len(echoes) == 1:
+            return self._chosen(echoes, threshold, clear_range_m)
+        particles = echoes[1].signal >= threshold
+        for echo in echoes[2:]:
+            particles = particles | (echo.signal >= threshold)
+        beams = particles.reshape(-1).nonzero()[:, 0]
+        if 2 * len(beams) > particles.numel():
+            return self._chosen(echoes, threshold, clear_range_m)
+        alone = self._chosen(echoes[:1], threshold, clear_range_m)
+        if not len(beams):
+            return alone
+        own = threshold.expand_as(clear_range_m).reshape(-1)[beams] if threshold.ndim else threshold
+        among = [_Echoes(*(part.reshape(-1)[beams] for part in echo.parts)) for echo in echoes]
+        found = self._chosen(among, own, clear_range_m.reshape(-1)[beams])
+        return [
+            _Echoes(
+                *(
+                    whole.reshape(-1).index_copy(0, beams, some.to(whole)).reshape(whole.shape)
+                    for whole, some in zip(one.parts, other.parts, strict=True)
+                )
+            )
+            for one, other in zip(alone, found, strict=True)
+        ]
+
+    def _chosen(self, echoes: Sequence[_Echoes], threshold: Tensor, clear_range_m: Tensor) -> list[_Echoes]:
+        """The reported echoes of some beams: one, or two of a dual-return sensor; the object's echo is the first."""
         zero = torch.zeros_like(clear_range_m)
         # Strength decides; 0 is an echo that is not seen.
         strengths = [torch.where(echo.signal >= threshold, echo.signal, 0.0) for echo in echoes]
@@ -685,25 +830,21 @@ class Detection(SensorStage):
         near = (clear_range_m > 0) & (clear_range_m < self.sensor.near_start_m) & (echoes[0].signal > 0)
         strengths[0] = torch.where(near, torch.inf, strengths[0])
         strongest = _best(strengths, echoes)
-        chosen = [strongest]
-        if self.return_mode != "strongest":
-            strengths = self._merged([echo.range_m for echo in echoes], strengths)
-            power = -1.0 if self.return_mode == "first" else 1.0
-            scores = [
-                torch.where(strength > 0, echo.range_m**power, zero)
-                for strength, echo in zip(strengths, echoes, strict=True)
-            ]
-            end = _best(scores, echoes)
-            chosen = [end]
-            if self.return_mode == "dual":
-                # One echo is reported once: a beam whose strongest echo is its last has no second return.
-                again = end.range_m == strongest.range_m
-                second = [torch.where(again, x, y) for x, y in zip(_nothing(end), end.parts, strict=True)]
-                chosen = [strongest, _Echoes(*second)]
-        columns = zip(*(echo.parts for echo in chosen), strict=True)
-        names = ("range_m", "signal", "kind", "echo_speed_m_per_s")
-        joined = [torch.stack(values, 1).transpose(1, 2) for values in columns]
-        return state.changed(**dict(zip(names, joined, strict=False)))
+        if self.return_mode == "strongest":
+            return [strongest]
+        strengths = self._merged([echo.range_m for echo in echoes], strengths)
+        power = -1.0 if self.return_mode == "first" else 1.0
+        scores = [
+            torch.where(strength > 0, echo.range_m**power, zero)
+            for strength, echo in zip(strengths, echoes, strict=True)
+        ]
+        end = _best(scores, echoes)
+        if self.return_mode != "dual":
+            return [end]
+        # One echo is reported once: a beam whose strongest echo is its last has no second return.
+        again = end.range_m == strongest.range_m
+        second = [torch.where(again, x, y) for x, y in zip(_nothing(end), end.parts, strict=True)]
+        return [strongest, _Echoes(*second)]
 
     def _merged(self, ranges: Sequence[Tensor], strengths: Sequence[Tensor]) -> list[Tensor]:
         """Strengths with 0 for every echo that is part of a stronger one."""

@@ -47,6 +47,8 @@ VARIANTS = ("d3_4",)
 LOST_AS = ("zero", "nan", "drop")
 BEAM_ENDS = ("scene", "max_range")
 BEAMS_AT_ONCE = 1 << 19  # arrays of 2 MB
+# Stages to which an echo below the threshold is none; an effect may lower the threshold, or look at all echoes.
+LOOK_AT_DETECTED = {PatchyAir, ToEnergy, Extinction, ParticleReturns, Detection, ToPoints, RadialSpeed}
 Cloud = Tensor | list[Tensor]
 
 
@@ -532,6 +534,7 @@ class LidarWeather(WeatherTransform):
                 range_m > 0, range_m if beams.end_m is None else beams.end_m.minimum(range_m), farthest
             )
         nothing = torch.zeros_like(range_m)[..., None]
+        intensity, unit = flat[..., 3].contiguous(), self.sensor.intensity_unit
         state = LidarState.of(
             points_in=flat,
             empty_direction=beams.empty_direction,
@@ -542,9 +545,9 @@ class LidarWeather(WeatherTransform):
             kind=nothing.to(torch.int8),
             reach_m=reach_m,
             threshold=flat.new_tensor(self.sensor.threshold_per_m2_sr),
-            integral=are_integers(flat[..., 3], self.sensor.intensity_unit),
-            borrowed_intensity=borrowed_intensity(flat[..., 3], range_m > 0, self.sensor.intensity_unit),
-            zero_intensity=zero_intensity(flat[..., 3], self.sensor.intensity_unit, self.sensor.zero_intensity),
+            integral=are_integers(intensity, unit),
+            borrowed_intensity=borrowed_intensity(intensity, range_m > 0, unit),
+            zero_intensity=zero_intensity(intensity, unit, self.sensor.zero_intensity),
             grid=self._grid(flat.shape[1]),
         )
         return beams, state
@@ -585,8 +588,18 @@ class LidarWeather(WeatherTransform):
             flat = {key: _of_first(value, first_row) for key, value in flat.items()}
         if self._is_large(state):
             return self._in_portions(state, flat)
-        found: LidarState = self.chain(state, flat)
-        return found
+        return self._in_chain(state, flat)
+
+    def _in_chain(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+        """The state after the chain; where all its stages look at detected echoes alone, the others are not drawn."""
+        stages = self.chain.stages
+        if is_exporting() or not {type(stage) for stage in stages.values()} <= LOOK_AT_DETECTED:
+            found: LidarState = self.chain(state, noise)
+            return found
+        for name, stage in stages.items():
+            own = self.chain.noise_of(name, noise)
+            state = stage(state, own, **({"faintest": state.receiver.threshold} if name == "particle_returns" else {}))
+        return state
 
     def _is_large(self, state: LidarState) -> bool:
         """Whether the cloud is worked on in portions of its beams."""
@@ -605,7 +618,7 @@ class LidarWeather(WeatherTransform):
         found = []
         for start in range(0, beams, size):
             part = slice(start, start + size)
-            found.append(self.chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}))
+            found.append(self._in_chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}))
         joined: dict[str, Any] = {}
         for name in ("points", "second", "kind", "reach_m", "path_density"):
             values = [part.field(name) for part in found]
@@ -663,10 +676,13 @@ def _own_vehicle_restored(state: LidarState, beams: Beams) -> LidarState:
 def _counts_of(beams: Beams) -> Tensor:
     """How many beams of each cloud end where, ``(B, 6)``; rows of padding are none."""
     assert beams.end is not None
-    real = torch.ones_like(beams.end, dtype=torch.bool)
+    end = beams.end.long()
     if beams.appended and beams.empty_direction is not None:
-        real[:, -beams.appended :] = (beams.empty_direction[:, -beams.appended :] != 0).any(-1)
-    return torch.stack([((beams.end == int(end)) & real).sum(-1) for end in BeamEnd], -1)
+        real = (beams.empty_direction[:, -beams.appended :] != 0).any(-1)
+        padding = torch.where(real, end[:, -beams.appended :], len(BeamEnd))
+        end = torch.cat([end[:, : -beams.appended], padding], 1)
+    counts = torch.zeros(len(end), len(BeamEnd) + 1, dtype=torch.int64, device=end.device)
+    return counts.scatter_add_(1, end, torch.ones_like(end))[:, : len(BeamEnd)]
 
 
 def _range_m(points: Tensor, min_range_m: float) -> Tensor:

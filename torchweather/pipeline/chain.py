@@ -112,10 +112,13 @@ class Chain(AtLeastSingle):
     def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:
         """The state after all stages."""
         for name, stage in self._stages.items():
-            prefix = f"{name}."
-            own = {key.removeprefix(prefix): value for key, value in noise.items() if key.startswith(prefix)}
-            state = stage(state, own)
+            state = stage(state, self.noise_of(name, noise))
         return state
+
+    def noise_of(self, name: str, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The noise of one stage, by the names that the stage has for it."""
+        prefix = f"{name}."
+        return {key.removeprefix(prefix): value for key, value in noise.items() if key.startswith(prefix)}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values: the class and the arguments of every stage."""

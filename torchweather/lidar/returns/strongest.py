@@ -154,19 +154,33 @@ class ReturnTable:
 
     def strongest_before(self, arrivals: Tensor, place: Tensor, reach: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """As the function of that name, read from the grid."""
+        signal = self.signal_before(arrivals, reach)
+        return signal.clamp_min(0.0), self.place_before(signal, place, reach), signal > 0.0
+
+    def signal_before(self, arrivals: Tensor, reach: Tensor) -> Tensor:
+        """Signal of the strongest particle ``(B, N)``; 0 or less where there is none. Arguments as above."""
         step = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
         late = (torch.log(arrivals) * (1.0 / step) - math.log(ARRIVAL_LOW) / step).clamp(0.0, ARRIVAL_NODES - 1.0)
         column, early = _floor(reach, self.places), _floor(late, ARRIVAL_NODES)
         share, own = reach - column, late - early
         index = _index(column * ARRIVAL_NODES + early)
         here, farther = _lerp(self.signal, index, own), _lerp(self.signal[:, ARRIVAL_NODES:], index, own)
-        signal = torch.lerp(here, farther, share)
+        return torch.lerp(here, farther, share)
+
+    def place_before(self, signal: Tensor, place: Tensor, reach: Tensor) -> Tensor:
+        """Range ``(B, N)`` of the particle of a signal that ``signal_before`` gave. Arguments as above."""
+        column = _floor(reach, self.places)
         row = _floor(signal, self.signals)
-        before = (_lerp(self.share, _index(row * self.places + column), share) * place).clamp(0.0, 1.0)
+        before = (_lerp(self.share, _index(row * self.places + column), reach - column) * place).clamp(0.0, 1.0)
         v = (before / (1.0 + (1.0 - before).sqrt())).sqrt() * (PLACE_NODES - 1)
         node = _floor(v, PLACE_NODES)
         found = _lerp(self.place, _index(row * PLACE_NODES + node), v - node)
-        return signal.clamp_min(0.0), torch.minimum(found, reach), signal > 0.0
+        return torch.minimum(found, reach)
+
+    def of_sample(self, sample: int) -> ReturnTable:
+        """The table of one sample of the batch, without a copy."""
+        one = slice(sample, sample + 1)
+        return ReturnTable(self.signal[one], self.share[one], self.place[one], self.places, self.signals)
 
 
 def _first(sector: Tensor | None, cells: int) -> Tensor | int:

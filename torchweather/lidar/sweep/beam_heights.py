@@ -13,7 +13,9 @@ from torchweather.pipeline.tiling import is_exporting
 __all__ = ["beam_heights_m"]
 
 
-def beam_heights_m(points: Tensor, sensor: Lidar, ring: Tensor | None = None) -> Tensor | None:
+def beam_heights_m(
+    points: Tensor, sensor: Lidar, ring: Tensor | None = None, *, there: Tensor | None = None
+) -> Tensor | None:
     """Height at which the beam of every point starts.
 
     Args:
@@ -21,6 +23,7 @@ def beam_heights_m(points: Tensor, sensor: Lidar, ring: Tensor | None = None) ->
         sensor: with ``origin_heights_m``, and ``elevations_deg`` where they differ.
         ring: ``(..., N)`` ring of every point, below 0 for none; ``None`` takes the sensor's ``ring_column``, or the
             ring that is nearest in elevation.
+        there: ``(..., N)`` bool, points that do not lie at the origin, where that is known already.
 
     Returns:
         ``(..., N)`` metres over the sensor's origin, 0 for points at the origin; ``None`` where every beam starts at
@@ -37,7 +40,7 @@ def beam_heights_m(points: Tensor, sensor: Lidar, ring: Tensor | None = None) ->
     heights = sensor.origin_heights_m
     if heights is None or not any(heights):
         return None
-    there = holds_return(points)
+    there = holds_return(points) if there is None else there
     values = sorted(set(heights))
     if len(values) == 1:
         return torch.where(there, values[0], 0.0).to(points)
