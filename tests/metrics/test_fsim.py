@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import pytest
@@ -16,7 +17,7 @@ from tests.metrics.behaviour import (
 )
 from tests.metrics.iqa import Case, cases
 from torchweather.metrics.fsim import fsim
-from torchweather.metrics.phase_congruency import phase_congruency
+from torchweather.metrics.phase_congruency import _bank, phase_congruency
 
 VARIANTS = {"fsimc": fsim, "fsim": partial(fsim, chromatic=False)}
 DOUBLE = [(key, case) for key in VARIANTS for case in cases(key)]
@@ -89,3 +90,26 @@ def test_batch_gradients_symmetry_and_size() -> None:
     gradients_are_finite(fsim, 3, 20, 26)
     symmetric(fsim, 3, 20, 26)
     refuses_smaller_than(fsim, 8)
+
+
+@pytest.mark.parametrize("size", [(48, 36), (33, 50), (25, 27)], ids=str)
+def test_noise_through_the_filters_is_that_over_the_image(size: tuple[int, int]) -> None:
+    """The authors sum the filters' real parts over the image, shape by shape and pair by pair."""
+    bank = _bank(*size, torch.float64, torch.device("cpu"))
+    filters = bank.orientations[:, None] * bank.scales
+    shapes = torch.fft.ifft2(filters).real * math.sqrt(size[0] * size[1])
+    squares = shapes.square().sum((1, 2, 3))
+    crossed = torch.stack([2.0 * (shapes[:, a] * shapes[:, b]).sum((1, 2)) for b in range(4) for a in range(b)]).sum(0)
+    torch.testing.assert_close(bank.real_power, squares + crossed, rtol=1e-12, atol=0.0)
+    torch.testing.assert_close(bank.finest_power, filters[:, 0].square().sum((1, 2)), rtol=1e-12, atol=0.0)
+
+
+def test_filters_of_a_call_without_gradients_serve_one_with_them() -> None:
+    image = torch.rand(1, 1, 23, 29)
+    with torch.inference_mode():
+        wanted = phase_congruency(image)
+    image.requires_grad_()
+    found = phase_congruency(image)
+    found.sum().backward()  # type: ignore[no-untyped-call]
+    assert torch.allclose(found, wanted, atol=1e-6)
+    assert image.grad is not None

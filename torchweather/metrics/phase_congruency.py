@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -30,10 +31,12 @@ ORDER = 15
 
 
 class Bank(NamedTuple):
-    """Log-Gabor filters over the spectrum."""
+    """Log-Gabor filters over the spectrum, and what white noise leaves behind them."""
 
     scales: Tensor  # (S, H, W)
     orientations: Tensor  # (O, H, W)
+    finest_power: Tensor  # (O,) of unit noise through the finest filter
+    real_power: Tensor  # (O,) of the real part of unit noise through the sum of the filters
 
 
 def _frequencies(count: int, like: Tensor) -> Tensor:
@@ -43,7 +46,10 @@ def _frequencies(count: int, like: Tensor) -> Tensor:
     return found
 
 
-def _bank(height: int, width: int, like: Tensor) -> Bank:
+@lru_cache(maxsize=2)
+@torch.inference_mode(False)  # for a call with gradients, too
+def _bank(height: int, width: int, dtype: torch.dtype, device: torch.device) -> Bank:
+    like = torch.empty(0, dtype=dtype, device=device)
     down, right = torch.meshgrid(_frequencies(height, like), _frequencies(width, like), indexing="ij")
     radius = torch.hypot(down, right)
     # Measured from the rows: the same four orientations; only the Nyquist frequencies of even sides tell it apart.
@@ -62,7 +68,14 @@ def _bank(height: int, width: int, like: Tensor) -> Bank:
         off = angle - orientation * math.pi / ORIENTATIONS
         off = torch.atan2(off.sin(), off.cos())
         orientations.append(torch.exp(-off.square() / (2.0 * sigma**2)))
-    return Bank(torch.stack(scales), torch.stack(orientations))
+    finest, real = [], []
+    for turned_filter in orientations:
+        finest.append((turned_filter * scales[0]).square().sum())
+        # A filter's real part over the image is its even part over the spectrum; powers are alike (Parseval).
+        together = turned_filter * torch.stack(scales).sum(0)
+        turned = together.flip((0, 1)).roll((1, 1), (0, 1))
+        real.append((0.5 * (together + turned)).square().sum())
+    return Bank(torch.stack(scales), torch.stack(orientations), torch.stack(finest), torch.stack(real))
 
 
 def phase_congruency(image: Tensor) -> Tensor:
@@ -83,37 +96,38 @@ def phase_congruency(image: Tensor) -> Tensor:
         L. Zhang, L. Zhang, X. Mou, D. Zhang, "FSIM: a feature similarity index for image quality assessment", IEEE
         Trans. Image Process. 20(8), 2011, section II.A.
     """
-    height, width = image.shape[-2:]
-    bank = _bank(height, width, image)
-    filters = bank.orientations[:, None] * bank.scales  # (O, S, H, W)
+    bank = _bank(*image.shape[-2:], image.dtype, image.device)
+    # Image by image and orientation by orientation: 16 complex responses of a pair at once are hundreds of MB.
+    return torch.cat([_of_one(one, bank) for one in torch.split(image, 1)]) if len(image) else image.clone()
+
+
+def _of_one(image: Tensor, bank: Bank) -> Tensor:
+    """`phase_congruency` of one image ``(1, 1, H, W)``."""
     # The filters pass no mean; without a common value, a flat image is 0 and not rounding noise.
-    spectrum = torch.fft.fft2(image - image[..., :1, :1].detach())
-    response = torch.fft.ifft2(spectrum[:, :, None] * filters)  # (B, O, S, H, W)
-    even, odd = response.real, response.imag
-    amplitude = root(even.square() + odd.square())
-    even_sum, odd_sum = even.sum(2, keepdim=True), odd.sum(2, keepdim=True)
-    strength = root(even_sum.square() + odd_sum.square())
-    even_mean, odd_mean = ratio(even_sum, strength), ratio(odd_sum, strength)
-    in_phase = even * even_mean + odd * odd_mean
-    across = (even * odd_mean - odd * even_mean).abs()
-    energy = (in_phase - across).sum(2)
-    above = (energy - _noise(amplitude[:, :, 0], filters)).clamp(min=0)
-    return ratio(above.sum(1, keepdim=True), amplitude.sum((1, 2))[:, None])
+    spectrum = torch.fft.fft2((image - image[..., :1, :1].detach())[0, 0])
+    above, amplitudes = torch.zeros_like(image[0, 0]), torch.zeros_like(image[0, 0])
+    for orientation, *powers in zip(bank.orientations, bank.finest_power, bank.real_power, strict=True):
+        response = torch.fft.ifft2(spectrum * (bank.scales * orientation))  # (S, H, W)
+        even, odd = response.real, response.imag
+        squared = even.square() + odd.square()
+        even_sum, odd_sum = even.sum(0), odd.sum(0)
+        strength = root(even_sum.square() + odd_sum.square())
+        even_mean, odd_mean = ratio(even_sum, strength), ratio(odd_sum, strength)
+        # Summed over the scales, what is in phase with the mean phase is what the sums have of it.
+        in_phase = even_sum * even_mean + odd_sum * odd_mean
+        across = (even * odd_mean - odd * even_mean).abs().sum(0)
+        above = above + (in_phase - across - _noise(squared[0], *powers)).clamp(min=0)
+        amplitudes = amplitudes + (root(squared) if squared.requires_grad else squared.sqrt()).sum(0)
+    return ratio(above, amplitudes)[None, None]
 
 
-def _noise(finest: Tensor, filters: Tensor) -> Tensor:
-    """Threshold ``(B, O, 1, 1)`` on the energy, from the amplitudes ``(B, O, H, W)`` of the finest scale."""
-    height, width = finest.shape[-2:]
-    squared = finest.square().flatten(2).sort(2).values
-    middle = squared[..., (squared.shape[-1] - 1) // 2]  # the lower of two
+def _noise(finest: Tensor, finest_power: Tensor, real_power: Tensor) -> Tensor:
+    """Threshold on the energy, from the squared amplitudes ``(H, W)`` of the finest scale and powers of filters."""
     # Squared amplitudes of Gaussian noise are exponentially distributed: mean = median / ln 2
-    power = middle / math.log(2.0) / filters[:, 0].square().sum((1, 2))
-    # Energy of white noise through the sum of the filters: squares of sums are squares plus twice the cross terms
-    shapes = torch.fft.ifft2(filters).real * math.sqrt(height * width)
-    squares = shapes.square().sum((1, 2, 3))
-    crossed = (shapes.sum(1).square().sum((1, 2)) - squares) / 2.0
-    # Rayleigh distribution: mean sqrt(pi / 2) tau, variance (2 - pi / 2) tau^2
-    tau = root(power * (squares + 2.0 * crossed))
+    power = finest.flatten().median() / math.log(2.0) / finest_power  # the lower of two in the middle
+    # Rayleigh distribution: mean sqrt(pi / 2) tau, variance (2 - pi / 2) tau^2. Energy of white noise through the sum
+    # of the filters: tau^2.
+    tau = root(power * real_power)
     level = math.sqrt(math.pi / 2.0) + NOISE_DEVIATIONS * math.sqrt(2.0 - math.pi / 2.0)
-    found: Tensor = (tau * level / NOISE_DIVISOR)[..., None, None]
+    found: Tensor = tau * level / NOISE_DIVISOR
     return found

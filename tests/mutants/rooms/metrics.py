@@ -26,6 +26,14 @@ MUTANTS = (
         ("tests/metrics/test_ssim.py::test_oracle",),
     ),
     Mutant(
+        "fsim_noise_of_complex_filters",
+        "noise through a filter's real part has the power of its even part",
+        "torchweather.metrics.phase_congruency",
+        "(0.5 * (together + turned))",
+        "together",
+        ("tests/metrics/test_fsim.py::test_noise_through_the_filters_is_that_over_the_image",),
+    ),
+    Mutant(
         "iou_over_the_sum",
         "an overlap is over the union, not the sum of the areas",
         BOX_OVERLAP,
