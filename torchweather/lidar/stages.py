@@ -447,9 +447,7 @@ class ParticleReturns(Stage):
         """How many returns of each kind a beam has at most."""
         return ", ".join(f"{kind}_echoes={part.echoes}" for kind, part in self.kinds.items())
 
-    def forward(
-        self, state: LidarState, noise: Mapping[str, Tensor], *, faintest: Tensor | None = None
-    ) -> LidarState:
+    def forward(self, state: LidarState, noise: Mapping[str, Tensor], *, faintest: Tensor | None = None) -> LidarState:
         """The state with an echo more for each return that a beam may have.
 
         Args:

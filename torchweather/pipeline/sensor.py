@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
-from functools import cache, lru_cache
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -140,17 +140,13 @@ class Sensor:
 
     def to_dict(self, *, without: Collection[str] = ()) -> dict[str, Any]:
         """Plain values that ``from_dict`` takes and YAML can hold; the fields in ``without`` are None."""
-        return {name: None if name in without else _plain(getattr(self, name)) for name in _names(type(self))}
-
-
-@cache
-def _names(kind: type[Sensor]) -> tuple[str, ...]:
-    """Names of the fields of a sensor."""
-    return tuple(field.name for field in fields(kind))  # type: ignore[arg-type]
+        names = [field.name for field in fields(self)]  # type: ignore[arg-type]
+        return {name: None if name in without else _plain(getattr(self, name)) for name in names}
 
 
 def _plain(value: Any) -> Any:
     """Tuples and tensors as lists."""
     if isinstance(value, tuple):
-        return [_plain(item) for item in value] if any(isinstance(item, (tuple, Tensor)) for item in value) else [*value]
+        nested = any(isinstance(item, (tuple, Tensor)) for item in value)
+        return [_plain(item) for item in value] if nested else [*value]
     return value.tolist() if isinstance(value, Tensor) else value

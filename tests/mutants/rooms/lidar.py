@@ -16,6 +16,30 @@ SENSOR_ORIGIN = "torchweather.lidar.sweep.sensor_origin"
 
 MUTANTS = (
     Mutant(
+        "faint_echoes_left_out_for_every_chain",
+        "an effect that lowers the threshold sees the echoes below it",
+        "torchweather.lidar.transform",
+        "if is_exporting() or not {type(stage) for stage in stages.values()} <= LOOK_AT_DETECTED:",
+        "if is_exporting():",
+        ("tests/lidar/test_detected_echoes.py::test_a_stage_that_looks_at_faint_echoes_gets_them",),
+    ),
+    Mutant(
+        "rows_of_lambda_counted_from_one",
+        "the last row above an arrival is their number less one",
+        "torchweather.lidar.returns.strongest",
+        "row = (larger - 1).clamp(0, signals - 2)",
+        "row = larger.clamp(0, signals - 2)",
+        ("tests/lidar/test_detected_echoes.py::test_signals_on_the_nodes_are_those_of_the_bisection",),
+    ),
+    Mutant(
+        "beams_with_a_second_particle_keep_their_object",
+        "a beam with a particle above threshold has a choice",
+        "torchweather.lidar.stages",
+        "particles = echoes[1].signal >= threshold",
+        "particles = echoes[1].signal > torch.inf",
+        ("tests/lidar/test_detected_echoes.py::test_what_comes_out_is_that_of_all_echoes",),
+    ),
+    Mutant(
         "pixel_cone_as_wide_as_the_pixel",
         "the cone of a flash's pixel has its solid angle, not its width",
         SENSOR,
