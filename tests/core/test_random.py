@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -10,7 +12,15 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from torchweather.core.random import ABSENT, Variate, draw_variates, keyed_stream, sample_seeds, sizes_of
+from torchweather.core.random import (
+    ABSENT,
+    Variate,
+    _normal_table,
+    draw_variates,
+    keyed_stream,
+    sample_seeds,
+    sizes_of,
+)
 
 SIZES = sizes_of(24, 32)
 NORMAL = Variate("noise", "normal", ("H", "W"))
@@ -88,6 +98,37 @@ def test_points_are_uniform_and_the_present_ones_come_first() -> None:
     assert drawn[:n].min() >= 0.0
     assert drawn[:n].max() < 1.0
     assert np.all(np.abs(drawn[:n].mean(0) - 0.5) < 4.5 * math.sqrt(1 / 12 / n))
+
+
+def test_a_draw_up_to_a_level_is_the_beginning_of_a_whole_one() -> None:
+    whole = Variate("drops", "points", (), per_px2=20.0, columns=4)
+    part = replace(whole, level_limit=0.02)
+    every, some = (draw_variates([2], "stage", [one], SIZES)["stage.drops"][0] for one in (whole, part))
+    assert 2 * len(some) < len(every)
+    assert np.array_equal(every[: len(some)], some)
+    assert np.all(np.diff(every[:, 3]) >= 0)
+    assert some[-1, 3] > 0.02  # no point of a lower level is left out
+
+
+def test_the_tabulated_normal_law_is_the_normal_one() -> None:
+    """Against the closed form: mean, variance, kurtosis, quantiles; and a log-normal of it, as the haze has."""
+    table = _normal_table().astype(float)
+    assert table.mean() == pytest.approx(0.0, abs=1e-7)
+    assert (table**2).mean() == pytest.approx(1.0, abs=1e-6)
+    assert (table**4).mean() == pytest.approx(3.0, abs=3e-4)  # the ends of the law lie in two values
+    assert np.array_equal(table, np.sort(table))
+    inner = NormalDist()
+    for k in (1, 100, 3000, 30000, 60000, 65534):
+        assert inner.inv_cdf(k / 65536) < table[k] < inner.inv_cdf((k + 1) / 65536)
+    for deviation in (0.1, 0.5, 1.0):
+        assert np.exp(deviation * table).mean() == pytest.approx(math.exp(0.5 * deviation**2), rel=2e-5)
+    drawn = draw_variates([3], "stage", [Variate("haze", "tabulated_normal", (400, 500))], {})["stage.haze"][0]
+    n = drawn.size  # four standard errors of each
+    assert drawn.mean() == pytest.approx(0.0, abs=4 / math.sqrt(n))
+    assert drawn.var() == pytest.approx(1.0, abs=4 * math.sqrt(2 / n))
+    for lag in (1, 2, 3, 4, 500):  # four values come from one word of random bits
+        flat = drawn.ravel().astype(float)
+        assert (flat[lag:] * flat[:-lag]).mean() == pytest.approx(0.0, abs=4 / math.sqrt(n))
 
 
 def test_capacity_depends_on_sizes_only() -> None:

@@ -74,8 +74,8 @@ class Banks:
         found = _read(self.density, azimuth_rad, range_m, self.step_m)
         return torch.where(range_m > self.step_m * (NODES - 1), 1.0, found)
 
-    def at_points(self, azimuth_rad: Tensor, range_m: Tensor, sample: Tensor | None) -> Tensor:
-        """Density at points ``(P,)``, each in the air of a sample (``None``: there is one)."""
+    def at_points(self, azimuth_rad: Tensor, range_m: Tensor, sample: Tensor | int | None) -> Tensor:
+        """Density at points ``(P,)``, each in the air of its sample or all in that of one (``None``: there is one)."""
         first = 0 if sample is None else sample * ((AZIMUTHS + 1) * NODES)
         found = _interpolated(self.density.flatten(), azimuth_rad, range_m, self.step_m, first)
         return torch.where(range_m > self.step_m * (NODES - 1), 1.0, found)

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchweather.camera.srgb_bytes import bytes_of_light, light_of_bytes
 from torchweather.camera.tone import normalise, quantise, srgb_decode, srgb_encode
 from torchweather.core.errors import InputTypeError, InputValueError
 
@@ -43,6 +44,8 @@ def check_rgb_values(rgb: Tensor, owner: str) -> None:
 
 def linear_planes(rgb: Tensor) -> Tensor:
     """Linear light of an sRGB image ``(..., 3, H, W)``, float32 (float64 of float64), saturation 1."""
+    if rgb.dtype == torch.uint8 and not torch.compiler.is_compiling():
+        return light_of_bytes(rgb)
     if rgb.dtype == torch.uint8:  # every level once
         levels = torch.arange(256, dtype=torch.float32, device=rgb.device) / 255.0
         return srgb_decode(levels)[rgb.int()]
@@ -59,6 +62,8 @@ def encoded_planes(after: Tensor, before: Tensor, rgb: Tensor) -> Tensor:
         before: the same of the input.
         rgb: the input, whose dtype the result has.
     """
+    if rgb.dtype == torch.uint8 and not torch.compiler.is_compiling():
+        return bytes_of_light(after)  # which gives every level of `linear_planes` back
     seen = srgb_encode(after.clamp(0.0, 1.0))
     if rgb.is_floating_point():
         return torch.where(after == before, rgb, seen.to(rgb.dtype))

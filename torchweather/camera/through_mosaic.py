@@ -9,11 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchweather.camera.bayer import mosaic
+from torchweather.camera.bayer import cfa_colour_index, mosaic
 from torchweather.camera.demosaic import demosaic
 from torchweather.camera.depth import SceneDepth
 from torchweather.camera.rgb_planes import linear_planes
 from torchweather.camera.sensor import Camera
+from torchweather.camera.srgb_bytes import bytes_of_light
 from torchweather.camera.tone import compand, expand, quantise, srgb_encode
 
 __all__ = ["image_of_mosaic", "mosaic_of_image", "padded", "padded_scene", "padded_size"]
@@ -23,9 +24,21 @@ SMALLEST_PX = 4  # a mosaic needs two 2 x 2 cells in each direction to be demosa
 
 def mosaic_of_image(rgb: Tensor, camera: Camera) -> Tensor:
     """The camera's raw float frame ``(..., 1, H', W')`` of an sRGB image, of the padded size."""
-    linear = linear_planes(rgb)
-    frame = mosaic(padded(linear, *padded_size(*rgb.shape[-2:])), camera.bayer_pattern)
+    size = padded_size(*rgb.shape[-2:])
+    if rgb.dtype == torch.uint8 and camera.bayer_pattern != "RCCB":  # whose clear pixel mixes colours of linear light
+        frame = linear_planes(_sampled(padded(rgb, *size), camera.bayer_pattern))
+    else:
+        frame = mosaic(padded(linear_planes(rgb), *size), camera.bayer_pattern)
     return compand(frame, camera.response_knots) if camera.response_knots else frame
+
+
+def _sampled(image: Tensor, pattern: str) -> Tensor:
+    """The colour of each pixel of a mosaic, ``(..., 3, H, W)`` to ``(..., 1, H, W)``."""
+    frame = image.new_empty(*image.shape[:-3], 1, *image.shape[-2:])
+    for row, colours in enumerate(cfa_colour_index(pattern)):
+        for column, colour in enumerate(colours):
+            frame[..., 0, row::2, column::2] = image[..., colour, row::2, column::2]
+    return frame
 
 
 def image_of_mosaic(before: Tensor | None, after: Tensor, rgb: Tensor, camera: Camera, method: str) -> Tensor:
@@ -40,7 +53,14 @@ def image_of_mosaic(before: Tensor | None, after: Tensor, rgb: Tensor, camera: C
     """
     height, width = rgb.shape[-2:]
     linear = expand(after, camera.response_knots) if camera.response_knots else after
-    seen = srgb_encode(demosaic(linear, camera.bayer_pattern, method)[..., :height, :width])
+    rebuilt = demosaic(linear, camera.bayer_pattern, method)[..., :height, :width]
+    if rgb.dtype == torch.uint8 and not torch.compiler.is_compiling():
+        seen = bytes_of_light(rebuilt)
+        if before is None:
+            return seen
+        own = (after == before).flatten(-3).all(-1)
+        return torch.where(own[..., None, None, None], rgb, seen) if bool(own.any()) else seen
+    seen = srgb_encode(rebuilt)
     unlike = torch.ones_like(after, dtype=torch.bool) if before is None else after != before
     changed = unlike.flatten(-3).any(-1)[..., None, None, None]
     if rgb.is_floating_point():

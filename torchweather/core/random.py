@@ -190,7 +190,7 @@ def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], ou
         flat, table = out.reshape(-1), _normal_table()
         for start in range(0, flat.size, NORMALS_AT_ONCE):
             some = flat[start : start + NORMALS_AT_ONCE]
-            raw: NDArray[np.uint64] = generator.bit_generator.random_raw(-(-some.size // 4))  # type: ignore[attr-defined]
+            raw: NDArray[np.uint64] = generator.bit_generator.random_raw(-(-some.size // 4))
             # 16 bits each, the lowest first
             np.take(table, raw.astype("<u8", copy=False).view("<u2")[: some.size], out=some, mode="clip")
     elif variate.law == "exponential":
@@ -212,7 +212,8 @@ def _normal_table() -> NDArray[np.float32]:
     density = np.concatenate([[0.0], np.exp(-0.5 * edges**2) / math.sqrt(2.0 * math.pi)])
     below = -np.diff(density) * TABLE_SIZE  # mean over a range: the densities at its ends, over its probability
     table = np.concatenate([below, -below[::-1]])
-    return (table / np.sqrt((table**2).mean())).astype(np.float32)
+    scaled: NDArray[np.float32] = (table / np.sqrt((table**2).mean())).astype(np.float32)
+    return scaled
 
 
 def draw_variates(

@@ -117,7 +117,13 @@ class LampLight:
         )
 
     def at_points(
-        self, values: Tensor, sample: Tensor | None, u_px: Tensor, v_px: Tensor, depth_m: Tensor, size: tuple[int, int]
+        self,
+        values: Tensor,
+        sample: Tensor | int | None,
+        u_px: Tensor,
+        v_px: Tensor,
+        depth_m: Tensor,
+        size: tuple[int, int],
     ) -> Tensor:
         """Values ``(B, 1, K, h, w)`` at points ``(P,)`` of the picture, linear between nodes."""
         rows, columns = values.shape[-2:]

@@ -321,7 +321,7 @@ class ParticleVeil(Stage):
             falling = self._falling(state.batch)
             if not any(falling):
                 mask = torch.zeros_like(state.one_plane) if state.receiver.keep_truth else None
-                return state.changed(particle_mask=mask)
+                return state.changed(signal=state.image.signal.clone(), particle_mask=mask)
             if not all(falling) and state.air.patches is None and state.air.lamp_light is None:
                 return self._render_some(state, noise, [row for row, falls in enumerate(falling) if falls])
         if state.scene.sky is not None:

@@ -1,0 +1,79 @@
+"""Marks with their own rows against the same on one footprint for all, mark by mark (``add_static``)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from torchweather.camera.particles import streaks
+from torchweather.camera.particles.depth_blocks import DepthBlocks
+from torchweather.camera.particles.streaks import Marks, add_listed, add_static
+
+HEIGHT, WIDTH, NUMBER = 48, 40, 60
+
+
+def marks_of(lean: float | None, widest_px: float) -> Marks:
+    """Marks of many sizes, some of them beyond the edges or behind the scene."""
+    random = torch.Generator().manual_seed(5)
+
+    def uniform(low: float, high: float) -> Tensor:
+        return low + (high - low) * torch.rand(NUMBER, generator=random)
+
+    down = uniform(0.1, 25.0)
+    return Marks(
+        sample=None,
+        u_px=uniform(-3.0, WIDTH + 3.0),
+        v_px=uniform(-6.0, HEIGHT + 6.0),
+        motion_u_px=None if lean is None else lean * down,
+        motion_v_px=down,
+        width_px=uniform(0.05, widest_px),
+        opacity=uniform(0.0, 1.0),
+        depth_m=uniform(1.0, 30.0),
+        clearness=uniform(0.0, 1.0),
+    )
+
+
+@pytest.mark.parametrize("by_columns", [False, True])
+@pytest.mark.parametrize("widest_px", [0.9, 7.0])
+@pytest.mark.parametrize("lean", [None, 0.0, 0.4, -2.5])
+def test_marks_of_like_columns_add_up_to_those_on_one_footprint(
+    lean: float | None, widest_px: float, by_columns: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streaks, "PAIRS_AT_ONCE", 97)  # several portions of a class
+    marks = marks_of(lean, widest_px)
+    depth_m = torch.full((HEIGHT, WIDTH), 100.0)
+    depth_m[:, : WIDTH // 2] = 12.0
+    wanted, faded = (torch.zeros(HEIGHT * WIDTH) for _ in range(2))
+    for k in range(NUMBER):
+        one = marks.take(slice(k, k + 1))
+        add_static(wanted, faded, one, depth_m.flatten(), (HEIGHT, WIDTH), (90, 20))
+
+    def laid(image: Tensor) -> Tensor:
+        return (image.T if by_columns else image).flatten()
+
+    for blocks in (None, DepthBlocks.of(depth_m[None, None])):
+        found, found_faded = torch.zeros(HEIGHT * WIDTH), torch.zeros(HEIGHT * WIDTH)
+        size = (HEIGHT, WIDTH)
+        add_listed(found, found_faded, marks, laid(depth_m), size, blocks, by_columns=by_columns)
+        # The order of a sum, and of differences between the ends of a long path: some steps of float32.
+        for ours, theirs in ((found, wanted), (found_faded, faded)):
+            torch.testing.assert_close(ours, laid(theirs.view(HEIGHT, WIDTH)), rtol=1e-4, atol=2e-6)
+    assert float(wanted.max()) > 0.05
+
+
+def test_marks_of_several_samples_stay_apart() -> None:
+    marks = marks_of(0.3, 3.0)
+    depth_m = torch.full((2 * HEIGHT * WIDTH,), 100.0)
+    sample = torch.arange(NUMBER) % 2
+    both, _ = add_listed(torch.zeros_like(depth_m), None, replace(marks, sample=sample), depth_m, (HEIGHT, WIDTH))
+    for k in range(2):
+        own = replace(marks, **{name: getattr(marks, name)[k::2] for name in FIELDS})
+        alone = torch.zeros(HEIGHT * WIDTH)
+        add_listed(alone, None, own, depth_m[: HEIGHT * WIDTH], (HEIGHT, WIDTH))
+        assert torch.equal(both.view(2, -1)[k], alone)
+
+
+FIELDS = ("u_px", "v_px", "motion_u_px", "motion_v_px", "width_px", "opacity", "depth_m", "clearness")

@@ -1,0 +1,79 @@
+"""sRGB images of 8 bits to linear light and back by tables, in bands that stay in the cache.
+
+A power costs ten times a look-up, and a fresh tensor of a whole image more than both. The tables give what
+``srgb_decode`` gives for each of the 256 levels, and the level whose range holds a linear value.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchweather.camera.tone import srgb_decode
+
+__all__ = ["bytes_of_light", "light_of_bytes"]
+
+LEVELS = 256
+# Ranges of equal width, each of which holds at most one limit between two levels: those are 3.0e-4 apart or more.
+RANGES = 4096
+SAMPLES_AT_ONCE = 1 << 16
+
+
+@lru_cache(maxsize=8)
+def _light(device: torch.device) -> Tensor:
+    return srgb_decode(torch.arange(LEVELS, dtype=torch.float32) / 255.0).to(device)
+
+
+@lru_cache(maxsize=8)
+def _limits(device: torch.device) -> tuple[Tensor, Tensor]:
+    """Of each range: the level at its lower end, and where the next level begins (infinity: beyond the range)."""
+    shown = (np.arange(1, LEVELS) - 0.5) / 255.0
+    begins = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    begins = _rounded_up(begins)
+    lower = (np.arange(RANGES + 1) / RANGES).astype(np.float32)
+    level = np.searchsorted(begins, lower, side="right")
+    following = np.append(begins, np.float32(np.inf))[level]
+    return torch.from_numpy(level.astype(np.uint8)).to(device), torch.from_numpy(following).to(device)
+
+
+def _rounded_up(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The nearest numbers of float32 that are not below."""
+    near = values.astype(np.float32)
+    return np.where(near < values, np.nextafter(near, np.float32(np.inf)), near)
+
+
+def light_of_bytes(image: Tensor) -> Tensor:
+    """Linear light of sRGB levels, float32.
+
+    Args:
+        image: uint8, any shape.
+    """
+    table = _light(image.device)
+    out = torch.empty(image.shape, dtype=torch.float32, device=image.device)
+    flat, found = image.reshape(-1), out.view(-1)
+    for start in range(0, flat.numel(), SAMPLES_AT_ONCE):
+        some = slice(start, start + SAMPLES_AT_ONCE)
+        torch.index_select(table, 0, flat[some].int(), out=found[some])
+    return out
+
+
+def bytes_of_light(linear: Tensor) -> Tensor:
+    """sRGB levels of linear light, uint8: the nearest, clipped to 0..255.
+
+    Args:
+        linear: float, any shape, saturation 1.
+    """
+    level, begins = _limits(linear.device)
+    out = torch.empty(linear.shape, dtype=torch.uint8, device=linear.device)
+    flat, found = linear.detach().reshape(-1), out.view(-1)
+    for start in range(0, flat.numel(), SAMPLES_AT_ONCE):
+        some = flat[start : start + SAMPLES_AT_ONCE]
+        place = (some * RANGES).clamp_(0.0, RANGES).int()
+        seen = found[start : start + SAMPLES_AT_ONCE]
+        torch.index_select(level, 0, place, out=seen)
+        seen += some >= begins.index_select(0, place)
+    return out
