@@ -1,4 +1,4 @@
-"""Test processes side by side share the cores."""
+"""Test processes side by side share the cores; torch renders particles, but in tests of the compiled path."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import pytest
 import torch
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # read as numpy is loaded
+
+# Deliberate breaks and records are of torch's path. TORCHWEATHER_COMPILED=1 runs every test on the compiled one.
+os.environ.setdefault("TORCHWEATHER_COMPILED", "0")
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])))

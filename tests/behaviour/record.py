@@ -21,6 +21,8 @@ import torch
 from tests.behaviour.cases import cases
 from tests.behaviour.digest import agree, exact, numbers
 
+os.environ["TORCHWEATHER_COMPILED"] = "0"  # the record is of torch's path
+
 RECORD = Path(__file__).with_name("record.json")
 # Rounding of other processors; an optimiser's steps grow it.
 RTOL, RTOL_OF = 1e-5, {"studies": 0.02, "graphs": 1e-4, "scores": 1e-4}

@@ -30,6 +30,7 @@ def run(args: argparse.Namespace) -> int:
 def everything() -> dict[str, Any]:
     """All names of the library as plain values."""
     from torchweather.atmosphere.weather import REHEARSE, WEATHERS, weather_kinds
+    from torchweather.core.compiled import compiled_path
     from torchweather.physics import FOG, RAIN, SNOW
     from torchweather.recipes import MultiSensorRecipe, Recipe, SuiteRecipe, list_recipes
     from torchweather.sensors import SENSOR_CLASSES
@@ -62,6 +63,7 @@ def everything() -> dict[str, Any]:
         ],
         "size_distributions": {"rain": sorted(RAIN), "fog": sorted({*FOG, REHEARSE}), "snow": sorted(SNOW)},
         "stages": sorted(STAGES),
+        "particles_rendered_by": compiled_path(),
     }
 
 
@@ -88,4 +90,5 @@ def listing_text(names: dict[str, Any]) -> str:
     lines += ["  " + line for line in aligned([["kind", "knob", "size distributions"], *rows])]
     lines += ["", "Water and snow on things (--weather rain:rate=10+KIND:FIELD=VALUE)", ""]
     lines += ["  " + line for line in aligned([[one["name"], ", ".join(one["fields"])] for one in names["conditions"]])]
-    return "\n".join([*lines, "", "Stages", "", *(f"  {name}" for name in names["stages"])])
+    lines += ["", "Stages", "", *(f"  {name}" for name in names["stages"])]
+    return "\n".join([*lines, "", f"Drops and flakes before cameras: rendered by {names['particles_rendered_by']}"])

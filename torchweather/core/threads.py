@@ -15,7 +15,7 @@ from contextlib import contextmanager
 
 import torch
 
-__all__ = ["one_thread_an_operation", "side_by_side"]
+__all__ = ["one_thread_an_operation", "side_by_side", "threads_at_hand"]
 
 _lock = threading.Lock()
 _outside = threading.local()  # number of threads that torch had before `one_thread_an_operation`
@@ -41,12 +41,17 @@ def one_thread_an_operation() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
+def threads_at_hand() -> int:
+    """Threads that ``side_by_side`` uses: those of torch outside ``one_thread_an_operation``."""
+    return getattr(_outside, "threads", None) or torch.get_num_threads()
+
+
 def side_by_side(tasks: Sequence[Callable[[], object]]) -> None:
     """Run tasks that write to places of their own; on as many threads as torch uses.
 
     Gradients do not flow out of other threads: where they are wanted, call the tasks one after the other.
     """
-    threads = getattr(_outside, "threads", None) or torch.get_num_threads()
+    threads = threads_at_hand()
     if min(threads, len(tasks)) <= 1:
         with one_thread_an_operation():
             for task in tasks:

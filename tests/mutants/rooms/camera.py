@@ -137,6 +137,22 @@ MUTANTS = (
         ("tests/camera/test_srgb_bytes.py::test_levels_are_the_nearest_of_the_transfer_function",),
     ),
     Mutant(
+        "compiled_marks_without_the_chord_of_their_column",
+        "the compiled path gives each column of a wide mark its own chord, as torch does",
+        "torchweather.camera.particles.compiled_marks",
+        "own = min(max(mean / max(to_side - from_side, 1e-3), shape.smallest_px), chord_most)",
+        "own = chord",
+        ("tests/camera/particles/test_compiled_path.py::test_compiled_particles_are_those_of_torch",),
+    ),
+    Mutant(
+        "compiled_haze_without_the_half_of_its_variance",
+        "-ln(1 - m) has the mean of m plus half of its variance, in the compiled haze as in torch's",
+        "torchweather.camera.particles.compiled_haze",
+        "centre = (m if there else ONE) + HALF * safe",
+        "centre = (m if there else ONE)",
+        ("tests/camera/particles/test_compiled_path.py::test_compiled_particles_are_those_of_torch",),
+    ),
+    Mutant(
         "mosaic_blur_mixes_colours",
         "pixels of one colour of a mosaic lie two apart",
         MOSAIC_BLUR,

@@ -14,7 +14,9 @@ from torchweather.camera.airlight import Airlight, airlight_argument, frame_mean
 from torchweather.camera.flake_light import flake_light
 from torchweather.camera.fog import FADING_COLOUR
 from torchweather.camera.options import RENAMED
-from torchweather.camera.particles.haze import haze_depth
+from torchweather.camera.particles import compiled
+from torchweather.camera.particles.haze import haze_depth as haze_by_torch
+from torchweather.camera.particles.optical_depth import haze_depth, listed_depth
 from torchweather.camera.particles.population import AtRate, Population
 from torchweather.camera.particles.sequence import next_frame
 from torchweather.camera.sensor import Camera
@@ -196,6 +198,10 @@ class ParticleVeil(Stage):
             **self.options,
         }
 
+    def extra_repr(self) -> str:
+        """The path that renders each kind of particle on the processor."""
+        return ", ".join(f"{part.weather.kind} rendered by {compiled.rendered_by(part)}" for part in self.parts)
+
     def variates(self) -> tuple[Variate, ...]:
         """Points of every listed shell and the noise maps of the haze, for each kind of particle."""
         return tuple(variate for part in self.parts for variate in part.variates())
@@ -286,7 +292,7 @@ class ParticleVeil(Stage):
             for part in self.parts:
                 part.check_rate()
                 table = part.in_air(state)
-                sharp, _ = part.listed_depth(state, noise, table)
+                sharp, _ = listed_depth(part, state, noise, table)
 
                 def band(
                     first: int, last: int, into: Tensor | None, part: Population = part, table: AtRate = table
@@ -334,7 +340,7 @@ class ParticleVeil(Stage):
         fog = state.air.fog_extinction_per_m
         fog_per_m = None if fog is None else fog[:, FADING_COLOUR].float()
         listed = [
-            part.listed_depth(state, noise, table, fog_per_m) for part, table in zip(self.parts, tables, strict=True)
+            listed_depth(part, state, noise, table, fog_per_m) for part, table in zip(self.parts, tables, strict=True)
         ]
         lamps = state.air.lamp_light
         lit: list[Tensor | None] = [None for _ in self.parts]
@@ -358,7 +364,7 @@ class ParticleVeil(Stage):
                     faded = state.by_cells(sharp_faded[rows] + haze_faded)
                     colour = self._through_fog(state, colour, faded, depths[-1])
                 if sharp_lit is not None and lamp_colour is not None:
-                    haze_lit = haze_depth(part, state, noise, table, first, last, lit=True)[1]
+                    haze_lit = haze_by_torch(part, state, noise, table, first, last, lit=True)[1]
                     assert haze_lit is not None
                     shown = state.by_cells(sharp_lit[rows] + haze_lit) / depths[-1].clamp_min(FAINTEST)
                     colour = colour + shown * lamp_colour

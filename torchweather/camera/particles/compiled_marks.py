@@ -1,0 +1,394 @@
+"""Compiled pass over the points of a shell: point, mark and sum over pixels, one particle after the other.
+
+The same formulas as ``Population._marks`` and ``streaks``, in double precision. Nothing is stored between the steps,
+where torch writes about 60 arrays for each group of marks.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchweather.core.compiled import jit, uncontracted
+
+__all__ = ["Lens", "MarkShape", "Motion", "Nodes", "add_points", "farthest_around", "in_bands", "transposed"]
+
+Array = NDArray[np.float32]
+
+
+class Lens(NamedTuple):
+    """Camera of one sample: pinhole in px, exposure, aperture, focus, lens blur; D3.4's blend is 1.0 or 0.0."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    focal_px: float
+    exposure_s: float
+    aperture_m: float
+    focus_m: float
+    blur_px: float
+    published_blend: float
+
+
+class Motion(NamedTuple):
+    """Velocity of particles: ``fall`` times their speed plus ``drift``, in the camera's frame (right, down, forward).
+
+    Args:
+        row_share: rows that a rolling shutter goes on in one exposure, inverted; 0 for a global shutter.
+        upright: 1.0 where every path runs along the columns.
+    """
+
+    fall_x: float
+    fall_y: float
+    fall_z: float
+    drift_x: float
+    drift_y: float
+    drift_z: float
+    row_share: float
+    upright: float
+
+
+class Nodes(NamedTuple):
+    """Slots of a shell at one rate: margins, nearest and farthest particle, level axis and ln of the thinning."""
+
+    reach_u: float
+    reach_v: float
+    near_m: float
+    far_m: float
+    level_low: float
+    level_step: float
+    thinning: float
+    limit: float
+
+
+class MarkShape(NamedTuple):
+    """Constants of a mark, as ``streaks`` has them."""
+
+    chord_0: float
+    chord_1: float
+    chord_2: float
+    chord_3: float
+    box_of_disk: float
+    mean_chord: float
+    smallest_px: float
+    full: float
+    wide_px: float
+    disk_of_box: float
+    slowest: float
+
+
+@jit
+def _chord_share(offset: float, shape: MarkShape) -> float:
+    t = min(max(2.0 * offset, -1.0), 1.0)
+    square = t * t
+    return 0.5 + t * (shape.chord_0 + square * (shape.chord_1 + square * (shape.chord_2 + square * shape.chord_3)))
+
+
+@jit
+def _trapezoid_share(offset: float, length: float, chord: float, per_area: float) -> float:
+    outer = 0.5 * (length + chord)
+    inner = 0.5 * abs(length - chord)
+    y = min(max(offset, -outer), outer)
+    rising = (y + outer) ** 2 - max(y + inner, 0.0) ** 2 - max(y - inner, 0.0) ** 2
+    return rising * per_area
+
+
+@jit
+def _optical(coverage: float, full: float) -> float:
+    m = min(max(coverage, 0.0), full)
+    if m < 0.02:  # the series' remainder is below 1e-9 of it
+        return m * (1.0 + m * (1.0 / 2 + m * (1.0 / 3 + m * (1.0 / 4 + m * (1.0 / 5)))))
+    return -math.log1p(-m)
+
+
+@jit
+def _cell(position: float, nodes: int) -> tuple[int, float]:
+    if not position > 0.0:  # nan as well
+        return 0, 0.0
+    cell = int(min(position, nodes - 2.0))
+    return cell, min(position - cell, 1.0)
+
+
+@jit
+def _read(table: Array, cell: int, share: float) -> float:
+    low = float(table[cell])
+    return low + share * (float(table[cell + 1]) - low)
+
+
+@uncontracted
+def _placed(drawn: np.float32, wide: np.float32, edge: np.float32) -> np.float32:
+    """Column or row of a drawn number, the product rounded before the difference."""
+    return drawn * wide - edge
+
+
+@jit
+def farthest_around(depth_m: Array, block_px: int) -> Array:
+    """Farthest depth over 3 x 3 blocks around each block of a depth map."""
+    height, width = depth_m.shape
+    rows, columns = (height + block_px - 1) // block_px, (width + block_px - 1) // block_px
+    own = np.full((rows, columns), -np.inf, np.float32)
+    for row in range(height):
+        for column in range(columns):
+            most = own[row // block_px, column]
+            for at in range(column * block_px, min((column + 1) * block_px, width)):
+                most = max(most, depth_m[row, at])
+            own[row // block_px, column] = most
+    around = np.empty((rows, columns), np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            most = own[row, column]
+            for r in range(max(row - 1, 0), min(row + 2, rows)):
+                for c in range(max(column - 1, 0), min(column + 2, columns)):
+                    most = max(most, own[r, c])
+            around[row, column] = most
+    return around
+
+
+@jit
+def in_bands(
+    points: Array, limit: float, reach_u: float, width: int, band_columns: int
+) -> tuple[Array, NDArray[np.int64]]:
+    """Points ``(P, 4)`` of a level below ``limit``, band after band of columns, and where each band begins.
+
+    Within a band they keep their order. A band's pixels stay in the cache while its points are rendered.
+    """
+    bands = (width + band_columns - 1) // band_columns
+    begins = np.zeros(bands + 1, np.int64)
+    for point in range(points.shape[0]):
+        if points[point, 3] < limit:
+            begins[_band(points[point, 0], reach_u, width, band_columns, bands) + 1] += 1
+    for band in range(bands):
+        begins[band + 1] += begins[band]
+    free = begins.copy()
+    ordered = np.empty((begins[bands], 4), np.float32)
+    for point in range(points.shape[0]):
+        if points[point, 3] < limit:
+            band = _band(points[point, 0], reach_u, width, band_columns, bands)
+            for column in range(4):
+                ordered[free[band], column] = points[point, column]
+            free[band] += 1
+    return ordered, begins
+
+
+@jit
+def _band(drawn_u: float, reach_u: float, width: int, band_columns: int, bands: int) -> int:
+    u = drawn_u * (width + 2.0 * reach_u) - (reach_u + 0.5)
+    return int(min(u / band_columns, bands - 1.0)) if u > 0.0 else 0  # nan: the first one
+
+
+@jit
+def transposed(values: Array) -> Array:
+    """A map ``(H, W)`` as ``(W, H)``, by blocks that stay in the cache."""
+    height, width = values.shape
+    out = np.empty((width, height), np.float32)
+    for top in range(0, height, 32):
+        for left in range(0, width, 32):
+            for column in range(left, min(left + 32, width)):
+                for row in range(top, min(top + 32, height)):
+                    out[column, row] = values[row, column]
+    return out
+
+
+@jit
+def add_points(
+    total: Array,
+    faded: Array,
+    points: Array,
+    depth_m: Array,
+    farthest_m: Array,
+    block_px: int,
+    footprint: Array,
+    most: Array,
+    bound: Array,
+    outline_m: Array,
+    fall_speed: Array,
+    nodes: Nodes,
+    lens: Lens,
+    motion: Motion,
+    shape: MarkShape,
+    fog_per_m: float,
+    first_column: int,
+    last_column: int,
+) -> None:
+    """Add the optical depth of a shell's particles to the columns ``first_column..last_column`` of one frame.
+
+    Pixels add up in the order of the points, whatever the columns are. Maps hold one column after the other, so that
+    the pixels of a falling mark lie together.
+
+    Args:
+        total: ``(W, H)``, changed in place.
+        faded: the same weighted with the fog's transmission, changed in place; ``(0, 0)`` without fog.
+        points: ``(P, 4)`` column, row, depth and level in [0, 1); a level of 2 is an unused slot.
+        depth_m: ``(W, H)`` of the scene.
+        farthest_m: of the blocks around, ``farthest_around(depth_m, block_px)``.
+        block_px: size of a block.
+        footprint, most, bound: over the quantile of depth: m/px, ln of the slots' density, ln of that of particles.
+        outline_m, fall_speed: over the level.
+        nodes, lens, motion, shape: numbers.
+        fog_per_m: extinction.
+        first_column, last_column: columns.
+    """
+    width, height = total.shape
+    weighted = faded.size > 0
+    small = max(nodes.reach_u, nodes.reach_v) < block_px and motion.row_share == 0.0
+    upright = motion.upright == 1.0
+    wide_u, edge_u = np.float32(width + 2.0 * nodes.reach_u), np.float32(nodes.reach_u + 0.5)
+    wide_v, edge_v = np.float32(height + 2.0 * nodes.reach_v), np.float32(nodes.reach_v + 0.5)
+    shares, constant = np.empty(64), np.empty(64)
+    sums, sums_faded, depth = total.ravel(), faded.ravel(), depth_m.ravel()
+    for point in range(points.shape[0]):
+        level = float(points[point, 3])
+        if not level < nodes.limit:
+            continue
+        cell, share = _cell(float(points[point, 2]) * (footprint.size - 1), footprint.size)
+        log_level = math.log(max(level, 1e-30)) + _read(most, cell, share) + nodes.thinning
+        if not log_level < _read(bound, cell, share):
+            continue
+        foot = _read(footprint, cell, share)
+        z = foot * lens.focal_px
+        if not (nodes.near_m <= z <= nodes.far_m):
+            continue
+        # Rounded as torch does: at column 1000 single precision holds 6e-5 px.
+        u = float(_placed(points[point, 0], wide_u, edge_u))
+        v = float(_placed(points[point, 1], wide_v, edge_v))
+        if not (abs(u) < 1e6 and abs(v) < 1e6):
+            continue
+        if small:
+            row = int(min(max(v / block_px, 0.0), farthest_m.shape[1] - 1.0))
+            column = int(min(max(u / block_px, 0.0), farthest_m.shape[0] - 1.0))
+            if z >= farthest_m[column, row]:
+                continue
+        # ---- mark
+        x, y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
+        growth = math.sqrt(1.0 + x * x + y * y)
+        stop, above = _cell((log_level - nodes.level_low) / nodes.level_step, outline_m.size)
+        diameter = _read(outline_m, stop, above) / foot * math.sqrt(growth)
+        speed = _read(fall_speed, stop, above)
+        motion_u = 0.0
+        if upright:
+            motion_v = speed * (lens.exposure_s * lens.fy / lens.focal_px) / foot
+        else:
+            vx = motion.fall_x * speed + motion.drift_x
+            vy = motion.fall_y * speed + motion.drift_y
+            vz = motion.fall_z * speed + motion.drift_z
+            motion_u = (vx - x * vz) * lens.exposure_s / z * lens.fx
+            motion_v = (vy - y * vz) * lens.exposure_s / z * lens.fy
+        blur = 0.0
+        if lens.aperture_m > 0.0:
+            blur = lens.aperture_m / foot
+            if lens.focus_m < np.inf:
+                blur = blur * abs(z - lens.focus_m) / lens.focus_m
+        square = diameter * diameter + lens.blur_px * lens.blur_px + blur * blur
+        breadth = math.sqrt(square)
+        opacity = diameter * diameter / square
+        if lens.published_blend == 1.0:
+            opacity = opacity * (1.0 + diameter) / diameter
+        stretch = 1.0 / max(1.0 - motion_v * motion.row_share, shape.slowest)
+        v = v * stretch
+        u = u + motion_u * (v * motion.row_share)
+        motion_u, motion_v, opacity = motion_u * stretch, motion_v * stretch, opacity * stretch
+        clear = 0.0
+        if weighted:
+            x, y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
+            clear = math.exp(-fog_per_m * z * math.sqrt(1.0 + x * x + y * y))
+        # ---- its frame along the major axis
+        steep = abs(motion_v) >= abs(motion_u)
+        slope, across = 0.0, breadth
+        if steep:
+            major, minor, along, aside = v, u, motion_v, motion_u
+        else:
+            major, minor, along, aside = u, v, motion_u, motion_v
+        length = max(abs(along), shape.smallest_px)
+        if not upright:
+            steepness = aside / along if abs(along) >= shape.smallest_px else aside
+            path, disk = length * length, 0.75 * square
+            slope = steepness * path / (path + disk)
+            left_over = steepness * steepness * square * path / (path + disk)
+            across = math.sqrt(square + left_over + shape.disk_of_box * slope * slope)
+        chord = max(shape.box_of_disk * breadth, shape.smallest_px)
+        wide = breadth > shape.wide_px
+        chord_most = breadth if wide else chord
+        across = max(across, shape.smallest_px)
+        area = opacity * (math.pi / 4) * square
+        first = math.floor(major - 0.5 * (length + chord_most) + 0.5)
+        rows = math.floor(major + 0.5 * (length + chord_most) + 0.5) - first + 1
+        start = math.floor(minor - 0.5 * across + 0.5)
+        columns = math.floor(across) + 2
+        if upright:
+            columns = math.floor(minor + 0.5 * across + 0.5) - start + 1
+        # Pixels of the mark that are in the columns, and steps over the flattened frame.
+        low, high, low_aside, high_aside = first_column, last_column, 0, height
+        stride, stride_aside = height, 1
+        if steep:
+            low, high, low_aside, high_aside, stride, stride_aside = 0, height, first_column, last_column, 1, height
+        begin, end = max(0, low - first), min(rows, high - first)
+        if begin >= end:
+            continue
+        if columns > shares.size:
+            shares, constant = np.empty(2 * columns), np.empty(2 * columns)
+        # ---- sum over its pixels
+        reach, per_area = 0.5 * across, 0.5 / (length * chord)
+        narrow = not wide or columns == 1
+        # Between these edges the trapezoid is flat, and the sums of a row are those of the next one.
+        flat = 0.5 * (length - chord) if narrow else -1.0
+        known, level_known = False, False
+        below = _trapezoid_share(first + begin - 0.5 - major, length, chord, per_area) if begin > 0 else 0.0
+        for step in range(begin, end):
+            edge = first + step + 0.5 - major
+            centre = minor
+            if not upright:
+                centre = minor + slope * (edge - 0.5)
+                start = math.floor(centre - reach + 0.5)
+            left, right = max(0, low_aside - start), min(columns, high_aside - start)
+            if left >= right and upright:
+                break
+            if not (upright and known):  # shares of the columns: of each row where they lean
+                before = 0.0
+                for column in range(columns - 1):
+                    here = _chord_share((start + column + 0.5 - centre) / across, shape)
+                    shares[column] = here - before
+                    before = here
+                shares[columns - 1] = 1.0 - before
+                known = True
+            at = (first + step) * stride + start * stride_aside
+            if edge - 1.0 >= -flat and edge <= flat:
+                below = edge * (2.0 * chord * per_area) + 0.5
+                if not (upright and level_known):
+                    for column in range(columns):
+                        constant[column] = _optical(area * shares[column] / length, shape.full)
+                    level_known = True
+                for column in range(left, right):
+                    pixel = at + column * stride_aside
+                    if z < depth[pixel]:
+                        sums[pixel] += constant[column]
+                        if weighted:
+                            sums_faded[pixel] += constant[column] * clear
+                continue
+            share_along = 0.0
+            if narrow:
+                here = 1.0 if step == rows - 1 else _trapezoid_share(edge, length, chord, per_area)
+                share_along = here - below
+                below = here
+            for column in range(left, right):
+                pixel = at + column * stride_aside
+                if not z < depth[pixel]:
+                    continue
+                if not narrow:
+                    # The disk's area in the column over the column's covered breadth.
+                    side = start + column + 0.5 - centre
+                    to_side = reach if column == columns - 1 else min(max(side, -reach), reach)
+                    from_side = -reach if column == 0 else min(max(side - 1.0, -reach), reach)
+                    mean = shape.mean_chord / shape.box_of_disk * chord * shares[column] * across
+                    own = min(max(mean / max(to_side - from_side, 1e-3), shape.smallest_px), chord_most)
+                    per_own = 0.5 / (length * own)
+                    upper = 1.0 if step == rows - 1 else _trapezoid_share(edge, length, own, per_own)
+                    lower = 0.0 if step == 0 else _trapezoid_share(edge - 1.0, length, own, per_own)
+                    share_along = upper - lower
+                optical = _optical(area * shares[column] * share_along, shape.full)
+                sums[pixel] += optical
+                if weighted:
+                    sums_faded[pixel] += optical * clear
