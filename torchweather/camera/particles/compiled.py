@@ -77,7 +77,7 @@ def covers(population: Population, state: CameraState, noise: Mapping[str, Tenso
     scene, air = state.scene, state.air
     used = (
         *(state.image.signal, scene.depth_m, scene.intrinsics, scene.ray_per_depth, tables.outline_m),
-        *(tables.haze_depth, tables.haze_variance, *tables.bounds, *noise.values()),
+        *(tables.haze_depth, tables.haze_variance, tables.bounds, *noise.values()),
         *(air.path_tangent, air.particle_reach_m, air.fog_extinction_per_m, state.receiver.row_time_s),
     )
     learns = torch.is_grad_enabled()
@@ -132,9 +132,8 @@ def listed_depth(
         shells = _shells(population, state, noise, tables, sample, fog_per_m, band_columns)
         into = (totals[sample], NOTHING if fadeds is None else fadeds[sample])
         for first, last in pairwise(edges):
-            tasks.append(
-                partial(_add_shells, into, depths[min(sample, len(depths) - 1)], shells, band_columns, first, last)
-            )
+            depth = depths[min(sample, len(depths) - 1)]
+            tasks.append(partial(_add_shells, into, depth, shells, first, last))
     side_by_side(tasks)
     return _by_rows(totals), None if fadeds is None else _by_rows(fadeds)
 
@@ -164,6 +163,7 @@ def _shells(
         far_m = min(far_m, float(_of(_array(reach_m), sample)))
     thinning = math.log(p.focal_px * p.headroom() / lens.focal_px)
     outline, speed = _of(_array(tables.outline_m), sample), _of(_array(tables.fall_speed), sample)
+    bounds = _of(_array(tables.bounds), sample)
     fog = 0.0 if fog_per_m is None else float(_of(_array(fog_per_m), sample))
     shells = []
     for number in range(len(t.listed)):
@@ -171,7 +171,7 @@ def _shells(
         log_footprint = t.listed[number].log_footprint
         footprint = np.exp(log_footprint).astype(np.float32)
         most = t.log_at(t.tail_most, log_footprint).astype(np.float32)
-        bound = _of(_array(tables.bounds[number]), sample)
+        bound = bounds[number]
         # No level above this one is there at any depth.
         limit = min(math.exp(min(float((bound - most).max()) - thinning, 50.0)) * (1 + 1e-4), ABSENT)
         reach = p.reach_px(number)
