@@ -14,6 +14,7 @@ from torch import Tensor
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, parse_weather
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import InputValueError
+from torchweather.core.text import aligned
 from torchweather.lidar.sensor import Lidar
 from torchweather.physics import (
     DB_PER_KM,
@@ -283,17 +284,6 @@ def explanation_text(numbers: Mapping[str, Any]) -> str:
 
 def _attenuation_model(part: Mapping[str, Any]) -> str:
     return MELTING_MODEL if part.get("melt_fraction") else ATTENUATION_MODELS[part["kind"]]
-
-
-def aligned(rows: list[list[str]]) -> list[str]:
-    """Columns of equal width, two spaces apart.
-
-    Example:
-        >>> aligned([["a", "bb"], ["ccc", "d"]])
-        ['a    bb', 'ccc  d']
-    """
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
 def _weather_text(weather: Mapping[str, Any]) -> str:

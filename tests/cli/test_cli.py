@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 import torchweather
+from tests.listed_names import FILE, text_of_names
 from torchweather.atmosphere.weather import Fog, Rain, parse_weather
 from torchweather.cli import main
 from torchweather.explain import explain
@@ -70,9 +71,17 @@ except SystemExit as end:
 
 
 @pytest.mark.parametrize(
-    "body", ["import torchweather", HELP.format(argv=["--help"]), HELP.format(argv=["apply", "-h"])]
+    "body",
+    [
+        "import torchweather",
+        HELP.format(argv=["--help"]),
+        HELP.format(argv=["apply", "-h"]),
+        "from torchweather.cli import main\nassert main(['list']) == main(['list', '--json']) == 0",
+        HELP.format(argv=["explain", "--wether", "rain:rate=1"]).replace("code == 0", "code == 2"),
+        HELP.format(argv=["view", "--no-such"]).replace("code == 0", "code == 2"),
+    ],
 )
-def test_import_and_help_do_not_load_torch(body: str) -> None:
+def test_import_help_names_and_errors_of_arguments_do_not_load_torch(body: str) -> None:
     found = subprocess.run([sys.executable, "-c", LIGHT.format(body=body)], capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stderr
 
@@ -236,6 +245,10 @@ def test_table13_as_published_equals_the_print_except_its_misprint(run: Any) -> 
     _, text, _ = run("d34", "table13")
     assert "as published" in text
     assert "0.2979" in text
+
+
+def test_listed_names_are_those_of_the_library() -> None:
+    assert FILE.read_text(encoding="utf-8") == text_of_names(), "write it anew: python -m tests.listed_names"
 
 
 def test_list_names_everything(run: Any) -> None:

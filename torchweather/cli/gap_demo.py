@@ -72,7 +72,7 @@ def opened(path: Path, sha256: str) -> dict[str, Any]:
 
 def side_by_side(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[str]:
     """Lines with what was hidden and what was found, parameter by parameter, and how far the weather record is off."""
-    from torchweather.explain import aligned
+    from torchweather.core.text import aligned
 
     hidden, found = _values(truth["effects"]), _values(answer["effects"])
     rows = [["", "hidden", "found"]]

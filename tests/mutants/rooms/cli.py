@@ -8,6 +8,14 @@ CLI = "torchweather.cli.program"
 
 MUTANTS = (
     Mutant(
+        "list_asks_the_library",
+        "names are listed without torch",
+        "torchweather.cli.listing",
+        "names = kept_names()",
+        "names = everything()",
+        ("tests/cli/test_cli.py::test_import_help_names_and_errors_of_arguments_do_not_load_torch",),
+    ),
+    Mutant(
         "nan_in_json",
         "JSON has no NaN",
         "torchweather.cli.output",
