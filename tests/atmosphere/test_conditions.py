@@ -239,13 +239,14 @@ def test_samples_of_a_batch_have_the_water_of_their_rain() -> None:
     assert torch.allclose(after[1], alone, atol=2 / 4095)
 
 
-def test_a_condition_drawn_for_a_batch_is_refused_and_for_a_sample_is_drawn() -> None:
+def test_a_condition_is_drawn_for_each_sample_of_a_batch() -> None:
     weather = Mixture(Rain(10.0), WetRoad((0.5, 2.0)))
     transform = camera_in(weather)
-    with pytest.raises(ValueError, match=r"wet-road.water_mm is one value for all samples of a batch"):
-        transform(frame((2,)), seed=1)
     chosen = camera_in(weather.drawn(1))
     assert torch.equal(transform(frame(), seed=1), chosen(frame(), noise=chosen.draw(frame(), seed=1)))
+    pair = frame((2,))
+    both = transform(pair, seed=1)
+    assert all(torch.equal(both[k], transform(pair[k], seed=1 + k)) for k in range(2))
     with pytest.raises(ValueError, match=r"wet-road is one for all .* and p leaves some of them clear"):
         camera_in(WetRoad(water_mm=1.0), p=0.5)(frame((2,)), seed=1)
     rarely = camera_in(WetRoad(water_mm=1.0), p=0.0)

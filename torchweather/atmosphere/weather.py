@@ -18,7 +18,14 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.distributions import Distribution, Uniform, distribution_from
+from torchweather.core.distributions import (
+    Distribution,
+    Uniform,
+    distribution_from,
+    distributions_in,
+    with_distributions,
+    with_drawn,
+)
 from torchweather.core.errors import (
     InputTypeError,
     InputValueError,
@@ -126,9 +133,14 @@ class Weather:
 
     @property
     def random(self) -> dict[str, Distribution]:
-        """Fields that are drawn for each sample, by name."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
-        return {name: value for name, value in values.items() if isinstance(value, Distribution)}
+        """Fields that are drawn for each sample, by name; of the wind by its place, ``wind_m_per_s.0`` forward."""
+        return distributions_in({field.name: getattr(self, field.name) for field in fields(self)})  # type: ignore[arg-type]
+
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """The same with other values of fields that ``random`` names."""
+        names = dict.fromkeys(name.partition(".")[0] for name in values)
+        changed = {name: with_drawn(getattr(self, name), values, name) for name in names}
+        return replace(self, **changed) if changed else self  # type: ignore[type-var]
 
     def drawn(self, seed: int) -> Weather:
         """One weather: a plain number for every field that is random, each from a stream of its own.
@@ -144,13 +156,14 @@ class Weather:
             name: one.at(float(keyed_stream(seed, f"weather.{self.kind}.{name}").random()))
             for name, one in self.random.items()
         }
-        return replace(self, **values) if values else self  # type: ignore[type-var]
+        return self.with_values(values)
 
     def densest(self) -> Weather:
         """The one with most particles of those that can be drawn: highest rate, least visibility, the rest at will."""
         pick = {"rate_mm_per_h": max, "mor_m": min, "patch_log_std": max}
-        values = {name: pick.get(name, lambda ends: ends[0])(one.ends()) for name, one in self.random.items()}
-        return replace(self, **values) if values else self  # type: ignore[type-var]
+        return self.with_values(
+            {name: pick.get(name, lambda ends: ends[0])(one.ends()) for name, one in self.random.items()}
+        )
 
     def _ends_are_good(self) -> bool:
         """Whether anything is random; all that can be drawn has then been checked."""
@@ -166,7 +179,7 @@ class Weather:
         first = {name: one.ends()[0] for name, one in random.items()}
         for name, one in random.items():
             for end in one.ends():
-                replace(self, **{**first, name: end})  # type: ignore[type-var]
+                self.with_values({**first, name: end})
         return bool(random)
 
     def _check_patches(self) -> None:
@@ -185,7 +198,9 @@ class Weather:
                 value = _bins_to_dict(value)
             elif isinstance(value, Distribution):
                 value = value.to_dict()
-            values[field.name] = list(value) if isinstance(value, tuple) else value
+            if isinstance(value, tuple):
+                value = [one.to_dict() if isinstance(one, Distribution) else one for one in value]
+            values[field.name] = value
         return values
 
     @classmethod
@@ -216,7 +231,9 @@ class Weather:
                     value = Binned(value["edges_mm"], value["density_per_m3_mm"], particle=value["particle"])
                 else:
                     value = distribution_from(value, owner=f"{cls.__name__}: {key}")
-            taken[key] = tuple(value) if isinstance(value, list) else value
+            if isinstance(value, list):
+                value = tuple(with_distributions(value, owner=f"{cls.__name__}: {key}"))
+            taken[key] = value
         return cls(**taken)
 
 
@@ -319,7 +336,7 @@ class Rain(_Precipitation):
             scaled to the rate.
         close_rate: scale the distribution so that its flux is exactly the rate.
         temperature_c: water temperature, degrees Celsius.
-        wind_m_per_s: air velocity (forward, left, up) in the vehicle frame, m/s.
+        wind_m_per_s: air velocity (forward, left, up) in the vehicle frame, m/s; each of the three may be drawn.
         patch_log_std: spread of the logarithm of the drops' number over the ground, 0 (uniform) to 2; its mean stays.
         patch_length_m: over which the density of gusts changes, 5 to 10,000 m (``atmosphere/density_field.py``).
 
@@ -605,6 +622,14 @@ class Mixture(Weather):
     def random(self) -> dict[str, Distribution]:
         """Fields of the parts and conditions that are drawn for each sample, as ``rain.rate_mm_per_h``."""
         return {f"{part.kind}.{name}": one for part in self._all for name, one in part.random.items()}
+
+    def with_values(self, values: Mapping[str, Any]) -> Mixture:
+        """The same with other values of fields that ``random`` names."""
+        own = {part.kind: {} for part in self._all}  # type: dict[str, dict[str, Any]]
+        for name, value in values.items():
+            kind, _, field = name.partition(".")
+            own[kind][field] = value
+        return Mixture(*(part.with_values(own[part.kind]) for part in self._all))
 
     def drawn(self, seed: int) -> Mixture:
         """One of each part and condition."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from torchweather.camera.exposure import ExposureControl
 from torchweather.camera.night.lamps import Night
@@ -36,3 +36,8 @@ class CameraOptions(TransformOptions):
     drop_radiance: str = "frame"
     rate_capacity_mm_per_h: float | None = None
     variant: str | None = None
+
+    fixed: ClassVar[tuple[str, ...]] = (
+        *("p", "near_m", "far_m"),
+        *("min_listed_coverage", "max_listed_density", "rate_capacity_mm_per_h"),
+    )

@@ -145,6 +145,8 @@ class AsBayer(nn.Module):
         if not isinstance(rgb, Tensor) or rgb.ndim < 3:
             check_rgb(rgb, "AsBayer")  # refuses it
         if self.transform.must_draw(noise, seed, generator):
+            if self.transform.draws_alone and rgb.ndim > 3 and rgb.numel():
+                return self.transform.each_alone(self.forward, rgb, seed, generator, {"depth": depth}, 3)
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
             chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
             return chosen.forward(rgb, depth, chosen.draw(rgb, seed=seeds, at_rate=True))
@@ -182,6 +184,8 @@ class AsBayer(nn.Module):
         if not isinstance(rgb, Tensor) or rgb.ndim < 3:
             check_rgb(rgb, "AsBayer")  # refuses it
         if self.transform.must_draw(noise, seed, generator):
+            if self.transform.draws_alone and rgb.ndim > 3 and rgb.numel():
+                return self.transform.each_alone(self.run, rgb, seed, generator, {"depth": depth}, 3)
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
             chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
             return chosen.run(rgb, depth, chosen.draw(rgb, seed=seeds, at_rate=True))

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchweather.camera.frame_sizes import size_change
 from torchweather.core.arguments import check_arguments, check_broadcast
+from torchweather.core.distributions import Distribution
 from torchweather.core.errors import (
     InputValueError,
     check_at_least,
@@ -72,10 +73,10 @@ class CameraFields(TypedDict, total=False):
     black_level: float
     white_level: float | None
     response_knots: tuple[tuple[float, float], ...] | None
-    exposure_s: float
-    f_number: float | None
+    exposure_s: float | Distribution
+    f_number: float | Distribution | None
     focal_length_mm: float | None
-    focus_distance_m: float | None
+    focus_distance_m: float | Distribution | None
     lens_blur_px: float
     roll_rad: float
     pitch_rad: float
@@ -118,6 +119,7 @@ class Camera(Sensor):
 
     kind: ClassVar[str] = "camera"
     data_key: ClassVar[str] = "image"
+    drawable: ClassVar[tuple[str, ...]] = ("exposure_s", "f_number", "focus_distance_m")
 
     width: int
     height: int
@@ -154,6 +156,8 @@ class Camera(Sensor):
             ...
 
     def __post_init__(self) -> None:
+        if self._ends_are_good():
+            return
         check_one_of("bayer_pattern", self.bayer_pattern, BAYER_PATTERNS, owner=self)
         check_fields(self, RANGES)
         object.__setattr__(self, "cx", (self.width - 1) / 2 if self.cx is None else self.cx)

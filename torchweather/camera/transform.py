@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import PatchyAir, patchy_air
-from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, check_intensities
+from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
 from torchweather.camera.airlight import airlight_argument, given_or_estimated, scaled_airlight
 from torchweather.camera.bayer import cfa_colour_index
 from torchweather.camera.conditions import camera_conditions
@@ -30,6 +30,7 @@ from torchweather.camera.rays import Rays, rays_of
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
+from torchweather.core.distributions import Distribution
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_one_of, check_positive
 from torchweather.core.moved import renamed_arguments
 from torchweather.core.precision import outside_autocast
@@ -74,7 +75,7 @@ class BayerWeather(WeatherTransform):
 
     Args:
         weather: what falls, and water or snow on things (``torchweather.atmosphere.conditions``); its intensity may be
-            a tensor of the batch shape.
+            a tensor of the batch shape. ``None``: that of the ``Compose`` around it.
         camera: the camera that took the frame.
         depth: depth of the scene where the call gives none: a number of metres, a map, a depth source such as
             ``FlatGround()``, or a function of the image.
@@ -103,6 +104,11 @@ class BayerWeather(WeatherTransform):
         effects: of ``stages.EFFECTS`` for cameras, or their dictionaries; each goes to its place in the chain.
         p: probability that a sample gets the weather; the others come back as they are.
 
+    What is not known may be a distribution, drawn for each sample: ``airlight`` (one, or one for each colour),
+    ``layer_top_m``, ``ego_speed_m_per_s``, ``sky``, ``exposure_control``, ``extinction``, ``scattering``,
+    ``drop_radiance``, a depth in metres, parameters of effects, and exposure time, aperture and focus of the camera.
+    ``docs/how-to/draw-what-is-not-known.md`` gives ranges and what they cost.
+
     Note:
         Day and sky light only. Without ``scattering="multiple"`` light is scattered once: fog of a visibility below
         50 m then hides more than it should and blurs nothing.
@@ -123,108 +129,109 @@ class BayerWeather(WeatherTransform):
     @renamed_arguments(**RENAMED)
     def __init__(
         self,
-        weather: Weather,
+        weather: Weather | None,
         camera: Camera,
         *,
         depth: object = None,
-        airlight: Sequence[float] | float | str | Mapping[str, float] | None = None,
-        layer_top_m: float = 200.0,
-        sky: str | None = None,
+        airlight: Sequence[float | Distribution] | float | str | Mapping[str, float] | Distribution | None = None,
+        layer_top_m: float | Distribution = 200.0,
+        sky: str | Distribution | None = None,
         night: Night | Mapping[str, Any] | bool | None = None,
-        exposure_control: str | ExposureControl | Mapping[str, Any] | None = None,
-        extinction: str = "mie",
-        scattering: str = "single",
+        exposure_control: str | ExposureControl | Mapping[str, Any] | Distribution | None = None,
+        extinction: str | Distribution = "mie",
+        scattering: str | Distribution = "single",
         near_m: float = 0.5,
         far_m: float = 200.0,
         min_listed_coverage: float = 1 / 1024,
         max_listed_density: float = 0.25,
-        ego_speed_m_per_s: float = 0.0,
-        drop_radiance: str = "frame",
+        ego_speed_m_per_s: float | Distribution = 0.0,
+        drop_radiance: str | Distribution = "frame",
         rate_capacity_mm_per_h: float | None = None,
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
+        super().__init__()
+        values: dict[str, Any] = {
+            "depth": depth,
+            "airlight": airlight,
+            "layer_top_m": layer_top_m,
+            "sky": sky,
+            "night": night,
+            "exposure_control": exposure_control,
+            "extinction": extinction,
+            "scattering": scattering,
+            "near_m": near_m,
+            "far_m": far_m,
+            "min_listed_coverage": min_listed_coverage,
+            "max_listed_density": max_listed_density,
+            "ego_speed_m_per_s": ego_speed_m_per_s,
+            "drop_radiance": drop_radiance,
+            "rate_capacity_mm_per_h": rate_capacity_mm_per_h,
+            "variant": variant,
+            "effects": effects,
+            "p": p,
+        }
+        at, camera = self._fixed(weather, CameraOptions(**values), camera)
         check_arguments(
             "BayerWeather(airlight: Sequence[float] | float | str | Mapping | None, layer_top_m: float, "
             "sky: str | None, extinction: str, scattering: str, near_m: float, far_m: float, "
             "min_listed_coverage: float, max_listed_density: float, ego_speed_m_per_s: float, drop_radiance: str, "
             "rate_capacity_mm_per_h: float | None, variant: str | None, p: float)",
-            airlight,
-            layer_top_m,
-            sky,
-            extinction,
-            scattering,
-            near_m,
-            far_m,
-            min_listed_coverage,
-            max_listed_density,
-            ego_speed_m_per_s,
-            drop_radiance,
-            rate_capacity_mm_per_h,
-            variant,
-            p,
+            at.airlight,
+            at.layer_top_m,
+            at.sky,
+            at.extinction,
+            at.scattering,
+            at.near_m,
+            at.far_m,
+            at.min_listed_coverage,
+            at.max_listed_density,
+            at.ego_speed_m_per_s,
+            at.drop_radiance,
+            at.rate_capacity_mm_per_h,
+            at.variant,
+            at.p,
         )
-        super().__init__()
-        self.options = CameraOptions(
-            depth=depth,
-            airlight=airlight,
-            layer_top_m=layer_top_m,
-            sky=sky,
-            night=night,
-            exposure_control=exposure_control,
-            extinction=extinction,
-            scattering=scattering,
-            near_m=near_m,
-            far_m=far_m,
-            min_listed_coverage=min_listed_coverage,
-            max_listed_density=max_listed_density,
-            ego_speed_m_per_s=ego_speed_m_per_s,
-            drop_radiance=drop_radiance,
-            rate_capacity_mm_per_h=rate_capacity_mm_per_h,
-            variant=variant,
-            effects=effects,
-            p=p,
-        )
-        self._check_weather(weather)
-        self._check_p(p)
+        weather = self._check_weather(weather)
+        self._check_p(at.p)
         Camera.check(camera, "camera", "lucid-triton", owner=self)
-        if variant is not None:
-            check_one_of("variant", variant, VARIANTS, owner=self)
-        if sky is not None:
-            check_one_of("sky", sky, SKIES, owner=self)
-        airlight = airlight_argument(airlight, owner=self)
+        if at.variant is not None:
+            check_one_of("variant", at.variant, VARIANTS, owner=self)
+        if at.sky is not None:
+            check_one_of("sky", at.sky, SKIES, owner=self)
+        light = airlight_argument(at.airlight, owner=self)
         check_at_least(
-            "layer_top_m", layer_top_m, camera.height_m, unit="m", owner=self, advice="It must be above the camera."
+            "layer_top_m", at.layer_top_m, camera.height_m, unit="m", owner=self, advice="It must be above the camera."
         )
-        self.weather, self.camera, self.layer_top_m = weather, camera, float(layer_top_m)
+        self.weather, self.camera, self.layer_top_m = weather, camera, float(at.layer_top_m)
         weather = weather.densest()
-        self.depth_source = None if depth is None else as_depth_source(depth)
-        self.airlight = airlight
-        stages: dict[str, Stage] = patchy_air(weather, ego_speed_m_per_s)
+        self.depth_source = None if at.depth is None else as_depth_source(at.depth)
+        self.airlight = light
+        stages: dict[str, Stage] = patchy_air(weather, at.ego_speed_m_per_s)
         fogs = [part for part in weather.parts if isinstance(part, Fog)]
         falling = [part for part in weather.parts if isinstance(part, (Rain, Snow))]
-        if falling and sky is not None:
-            stages["overcast_sky"] = OvercastSky(falling, airlight)
+        if falling and at.sky is not None:
+            stages["overcast_sky"] = OvercastSky(falling, light)
         if fogs:
             stages["extinction_and_airlight"] = ExtinctionAndAirlight(
-                fogs[0], tuple(camera.bands.values()), airlight, extinction, variant, scattering
+                fogs[0], tuple(camera.bands.values()), light, at.extinction, at.variant, at.scattering
             )
         if falling:
             stages["particle_veil"] = ParticleVeil(
                 falling,
                 camera,
-                near_m=near_m,
-                far_m=far_m,
-                min_listed_coverage=min_listed_coverage,
-                max_listed_density=max_listed_density,
-                ego_speed_m_per_s=ego_speed_m_per_s,
-                ambient=airlight,
-                drop_radiance=drop_radiance,
-                rate_capacity_mm_per_h=rate_capacity_mm_per_h,
-                variant=variant,
+                near_m=at.near_m,
+                far_m=at.far_m,
+                min_listed_coverage=at.min_listed_coverage,
+                max_listed_density=at.max_listed_density,
+                ego_speed_m_per_s=at.ego_speed_m_per_s,
+                ambient=light,
+                drop_radiance=at.drop_radiance,
+                rate_capacity_mm_per_h=at.rate_capacity_mm_per_h,
+                variant=at.variant,
             )
-        by_night = None if night is None else as_night(night, self)
+        by_night = None if at.night is None else as_night(at.night, self)
         if by_night is not None and fogs:
             lit: dict[str, Stage] = {}
             for name, stage in stages.items():
@@ -234,21 +241,21 @@ class BayerWeather(WeatherTransform):
                 else:
                     lit[name] = stage
             stages = lit
-        conditions = camera_conditions(weather, camera, airlight)
+        conditions = camera_conditions(weather, camera, light)
         meter: dict[str, Stage] = {}
-        if exposure_control is not None:
-            control = as_exposure_control(exposure_control, owner=self)
+        if at.exposure_control is not None:
+            control = as_exposure_control(at.exposure_control, owner=self)
             meter = {"exposure_meter": control.meter()}
             stages = {**stages, "exposure_control": control}
             # It meters the clear frame; effects of the scene without a condition belong to the scene that it meters.
             stages = stages if conditions.effects else {**meter, **stages}
         stages["quantise"] = Quantise()
-        check_arguments("BayerWeather(effects: Sequence)", effects)
-        chain = with_conditions(Chain(stages), effects, conditions, self)
+        check_arguments("BayerWeather(effects: Sequence)", at.effects)
+        chain = with_conditions(Chain(stages), at.effects, conditions, self)
         if meter and conditions.effects:
             chain = Chain({**meter, **chain.stages})
         if by_night is not None:  # in front of all, so that a wet road mirrors its lamps
-            lamps = NightLamps(by_night, weather.parts, tuple(camera.bands.values()), far_m)
+            lamps = NightLamps(by_night, weather.parts, tuple(camera.bands.values()), at.far_m)
             chain = Chain({"night_lamps": lamps, **chain.stages})
         self.chain = chain
         self.as_built = AsBuilt.of(self.chain)
@@ -264,8 +271,9 @@ class BayerWeather(WeatherTransform):
     # ---- calls -------------------------------------------------------------------------------------------------
 
     def own_sensor(self) -> Camera:
-        """The camera."""
-        return self.camera
+        """The camera, with its distributions."""
+        found: Camera = self._given_sensor if self._sensor_is_drawn else self.camera
+        return found
 
     @outside_autocast
     def forward(
@@ -298,6 +306,9 @@ class BayerWeather(WeatherTransform):
         if not isinstance(bayer, Tensor) or bayer.ndim < 3:
             check_bayer(bayer, self.camera, self)  # refuses it
         if self.must_draw(noise, seed, generator):
+            if self.draws_alone and bayer.ndim > 3 and bayer.numel():
+                beside = {"depth": depth, "normal": normal, "out": out}
+                return self.each_alone(self.forward, bayer, seed, generator, beside, 3)
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
             return chosen.forward(bayer, depth, chosen.draw(bayer, seed=seeds, at_rate=True), normal=normal, out=out)
         state = self._state(bayer, depth, normal)
@@ -328,6 +339,8 @@ class BayerWeather(WeatherTransform):
         if not isinstance(bayer, Tensor) or bayer.ndim < 3:
             check_bayer(bayer, self.camera, self)  # refuses it
         if self.must_draw(noise, seed, generator):
+            if self.draws_alone and bayer.ndim > 3 and bayer.numel():
+                return self.each_alone(self.run, bayer, seed, generator, {"depth": depth, "normal": normal}, 3)
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
             return chosen.run(bayer, depth, chosen.draw(bayer, seed=seeds, at_rate=True), normal=normal)
         scene = self.scene_of(bayer, depth)
@@ -538,7 +551,7 @@ class BayerWeather(WeatherTransform):
             batch: the batch shape, whose product is B.
             keep_truth: compute transmission and particle mask as well.
         """
-        check_intensities(self.weather, torch.Size(batch), owner=self)
+        self.refuse_undrawn(torch.Size(batch))
         rays = self._rays_for(linear, scene.horizon_row)
 
         def flat(name: str) -> Tensor | None:

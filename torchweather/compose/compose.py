@@ -6,7 +6,7 @@ import json
 import warnings
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import Choice
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, nearest_name
 from torchweather.core.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
+from torchweather.pipeline.sensor_transform import draw_nuisances
 
 __all__ = ["Compose", "Draw"]
 
@@ -35,6 +36,8 @@ class Draw:
     Args:
         seed: from which the particles of every sensor follow, 63 bits.
         weather: plain values, as ``weather_from_dict`` takes them; ``None`` is clear air: the sample stays as it is.
+        nuisances: key of the sample to the values that its transform drew beside the weather, by name:
+            ``{"image": {"airlight": 0.7, "effects.camera.exposure_gain.factor": 1.1}}``.
 
     Example:
         >>> Draw.from_dict(json.loads(json.dumps(Draw(7, {"kind": "rain", "rate_mm_per_h": 25.0}).to_dict()))).seed
@@ -43,17 +46,23 @@ class Draw:
 
     seed: int
     weather: Mapping[str, Any] | None
+    nuisances: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {"seed": self.seed, "weather": None if self.weather is None else dict(self.weather)}
+        """Plain values, for JSON; ``nuisances`` where there are any."""
+        values: dict[str, Any] = {"seed": self.seed, "weather": None if self.weather is None else dict(self.weather)}
+        if self.nuisances:
+            values["nuisances"] = {key: dict(one) for key, one in self.nuisances.items()}
+        return values
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Draw:
         """The inverse of ``to_dict``."""
-        if set(values) != {"seed", "weather"}:
-            raise InputValueError(f"Draw: wanted seed and weather; got {', '.join(map(str, values)) or 'nothing'}.")
-        return cls(int(values["seed"]), values["weather"])
+        if set(values) - {"nuisances"} != {"seed", "weather"}:
+            raise InputValueError(
+                f"Draw: wanted seed and weather, perhaps nuisances; got {', '.join(map(str, values)) or 'nothing'}."
+            )
+        return cls(int(values["seed"]), values["weather"], values.get("nuisances", {}))
 
 
 class Compose(nn.Module):
@@ -61,7 +70,8 @@ class Compose(nn.Module):
 
     Args:
         transforms: key of the sample to the transform of what is there: ``BayerRain`` and its like, ``AsBayer`` around
-            one, ``LidarRain`` and its like, ``RadarAttenuation``, ``RadarMapWeather``.
+            one, ``LidarRain`` and its like, ``RadarAttenuation``, ``RadarMapWeather``. With ``weather`` they need none
+            of their own: ``BayerWeather(None, camera)``.
         weather: what all of them get, in place of what each was built with: a ``Weather``, whose numbers may be
             distributions; or a list or ``Choice`` of weathers, ``None`` among them for clear air. ``None``: what the
             transforms were built with, which must then be the same for all.
@@ -80,6 +90,8 @@ class Compose(nn.Module):
     Note:
         Of a sample all sensors share the weather's numbers, and what effects draw of the air: the gusts of
         ``lidar.patchy_weather`` are the same for all LiDARs, the banks of ``camera.patchy_fog`` for all cameras.
+        Options, parameters of effects and fields of sensors that are distributions are drawn for each sample that gets
+        weather: airlight, ego speed and top of the fog once for all sensors, the others for each sensor.
 
         A batch is a sample whose data have one more dimension in front, or are lists of clouds: each of its elements
         gets a weather of its own, exactly as it would alone.
@@ -156,7 +168,7 @@ class Compose(nn.Module):
         for one in self.weather.values:  # so that what does not go together is said here, and tables are made once
             for spec in self.specs.values():
                 if one is not None:
-                    spec.build(one)
+                    spec.build(one, draw_nuisances(spec.nuisances, 0))
 
     @property
     def plans(self) -> dict[str, TransformSpec[Any]]:
@@ -211,7 +223,12 @@ class Compose(nn.Module):
         chosen = self.weather.at(float(keyed_stream(seed, "compose.weather").random()))
         if not applied or chosen is None:
             return Draw(seed, None)
-        return Draw(seed, chosen.drawn(seed).to_dict())
+        nuisances = {
+            key: draw_nuisances(spec.nuisances, seed, derived_seed(seed, key))
+            for key, spec in self.specs.items()
+            if spec.nuisances
+        }
+        return Draw(seed, chosen.drawn(seed).to_dict(), nuisances)
 
     def _names(self, sample: Sample, number: int | None) -> list[int | str]:
         """The samples' own names."""
@@ -313,7 +330,8 @@ class Compose(nn.Module):
         if not self._mosaics(spec):
             return value
         some = next(one for one in self.weather.values if one is not None).densest()
-        found: Tensor = self._transform(key, spec, some.to_dict(), value.device).without_weather(value)
+        drawn = draw_nuisances(spec.nuisances, 0)
+        found: Tensor = self._transform(key, spec, some.to_dict(), drawn, value.device).without_weather(value)
         return found
 
     def _in_weather(
@@ -322,7 +340,14 @@ class Compose(nn.Module):
         """What the transform of a key makes of it; ``None`` without weather."""
         if draw.weather is None:
             return None
-        transform = self._transform(key, spec, draw.weather, value.device)
+        drawn = draw.nuisances.get(key, {})
+        if missing := sorted(set(spec.nuisances) ^ set(drawn)):
+            raise InputValueError(
+                f"Compose: {key!r}: the draw must have a value for each of "
+                f"{', '.join(spec.nuisances) or 'no nuisance'}, and no others; the difference is {', '.join(missing)}. "
+                "It was drawn by another Compose."
+            )
+        transform = self._transform(key, spec, draw.weather, drawn, value.device)
         noise = transform.draw(value, seed=derived_seed(draw.seed, key))
         inner = transform.transform if spec.rgb else transform
         for name, stage in inner.chain.stages.items():
@@ -334,11 +359,18 @@ class Compose(nn.Module):
         noise = {name: one.to(value.device) for name, one in noise.items()}
         return transform.run(value, noise=noise, **extras)
 
-    def _transform(self, key: str, spec: TransformSpec[Any], weather: Mapping[str, Any], device: torch.device) -> Any:
-        """The key's transform for a weather, kept for when it comes again."""
-        place = (key, json.dumps(weather, sort_keys=True), str(device))
+    def _transform(
+        self,
+        key: str,
+        spec: TransformSpec[Any],
+        weather: Mapping[str, Any],
+        drawn: Mapping[str, Any],
+        device: torch.device,
+    ) -> Any:
+        """The key's transform for a weather and its nuisances, kept for when they come again."""
+        place = (key, json.dumps([weather, drawn], sort_keys=True), str(device))
         if place not in self._built:
-            self._built[place] = spec.build(weather_from_dict(weather)).to(device)
+            self._built[place] = spec.build(weather_from_dict(weather), drawn).to(device)
             if len(self._built) > KEPT:
                 self._built.popitem(last=False)
         self._built.move_to_end(place)
@@ -460,6 +492,11 @@ def _spec(key: str, transform: Any) -> TransformSpec[Any]:
 def _candidates(weather: Any, transforms: Mapping[str, Any]) -> Choice:
     """The weathers to choose from."""
     if weather is None:
+        waiting = [key for key, transform in transforms.items() if getattr(transform, "transform", transform).waits]
+        if waiting:
+            raise InputValueError(
+                f"Compose: {', '.join(map(repr, waiting))} was built without a weather. Say which with weather=."
+            )
         own = {key: _weather_of(transform) for key, transform in transforms.items()}
         first = next(iter(own.values()))
         if any(one.to_dict() != first.to_dict() for one in own.values()):

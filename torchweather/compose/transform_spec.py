@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 from torch import nn
@@ -11,6 +11,7 @@ from torch import nn
 from torchweather.atmosphere.weather import Weather
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.transform import BayerFog, BayerRain, BayerSnow, BayerWeather
+from torchweather.core.distributions import Distribution, with_drawn
 from torchweather.core.errors import InputTypeError
 from torchweather.lidar.transform import LidarFog, LidarRain, LidarSnow, LidarWeather
 from torchweather.pipeline.sensor import Sensor
@@ -46,6 +47,7 @@ class TransformSpec(Generic[S]):
         extra_inputs: arguments of a call beside the data and the noise, and their dimensions in one sample.
         rgb: whether it is inside ``AsBayer``.
         through_mosaic, method: of ``AsBayer``.
+        nuisances: what is drawn for each sample among options, effects and the sensor's fields, by name.
     """
 
     kind: TransformClass
@@ -56,11 +58,19 @@ class TransformSpec(Generic[S]):
     rgb: bool = False
     through_mosaic: bool = False
     method: str = "malvar"
+    nuisances: Mapping[str, Distribution] = field(default_factory=dict)
 
-    def build(self, weather: Weather) -> Any:
-        """The transform for a weather."""
+    def build(self, weather: Weather, drawn: Mapping[str, Any] | None = None) -> Any:
+        """The transform for a weather.
+
+        Args:
+            weather: of the sample.
+            drawn: values of ``nuisances`` by name.
+        """
         kind: Any = class_for(self.kind, weather)
-        built = kind(weather, self.sensor, **self.options)
+        values = {} if drawn is None else drawn
+        options = {name: with_drawn(one, values, name) for name, one in self.options.items()}
+        built = kind(weather, with_drawn(self.sensor, values, "sensor"), **options)
         return AsBayer(built, through_mosaic=self.through_mosaic, method=self.method) if self.rgb else built
 
 
@@ -77,10 +87,11 @@ def spec_of(transform: nn.Module) -> TransformSpec[Any]:
             f"wanted a transform of weather ({', '.join(TRANSFORMS)}, RadarMapWeather, or AsBayer around one "
             f"of a camera); got {type(transform).__name__}."
         )
+    nuisances = inner.nuisances
     outer = transform if isinstance(transform, AsBayer) else inner
     options = inner.options.arguments()
     spec: TransformSpec[Any] = TransformSpec(
-        type(inner), inner.own_sensor(), options, outer.data_shape, outer.extra_inputs
+        type(inner), inner.own_sensor(), options, outer.data_shape, outer.extra_inputs, nuisances=nuisances
     )
     inner.refuse_changes()
     if isinstance(transform, AsBayer):

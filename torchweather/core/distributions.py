@@ -1,6 +1,9 @@
 """Uniform, LogUniform, Choice: what a parameter may be that is drawn anew for each sample.
 
 Each turns one number u, uniform in [0, 1), into a value (``at``), so that whoever draws u decides the seed.
+
+Options, sensors, effects and weathers hold distributions among their values. `distributions_in` finds them, by dotted
+name, and `with_drawn` puts numbers in their places.
 """
 
 from __future__ import annotations
@@ -8,16 +11,37 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, check_between, nearest_name
+from torchweather.core.errors import InputTypeError, InputValueError, check_between, nearest_name
 
-__all__ = ["Choice", "Distribution", "LogUniform", "Uniform", "distribution_from"]
+__all__ = [
+    "Choice",
+    "Distribution",
+    "LogUniform",
+    "Uniform",
+    "distribution_from",
+    "distributions_in",
+    "refuse_fixed",
+    "with_distributions",
+    "with_drawn",
+]
 
 
 class Distribution:
-    """A value that is drawn for each sample."""
+    """A value that is drawn for each sample. It is no number: what computes with it is refused."""
+
+    def _refused(self, *others: object) -> NoReturn:
+        """Refuse to serve as a number."""
+        raise InputTypeError(
+            f"{self!r}: it has yet to be drawn for each sample and cannot serve as a number here. Give a number, or "
+            "call the transform without noise, or Compose, which draw one."
+        )
+
+    __float__ = __int__ = __neg__ = __abs__ = _refused
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __rtruediv__ = _refused
+    __lt__ = __le__ = __gt__ = __ge__ = _refused
 
     def at(self, u: float) -> Any:
         """The value at a share u of the probability, ``[0, 1)``."""
@@ -156,6 +180,93 @@ class Choice(Distribution):
 
 
 KINDS = {"uniform": Uniform, "log_uniform": LogUniform}
+
+
+def distributions_in(value: Any, name: str = "") -> dict[str, Distribution]:
+    """Distributions among nested values, by dotted name.
+
+    Args:
+        value: a distribution; a tuple, list or mapping; a sensor, effect or weather; anything else holds none.
+        name: of the value. Elements of a sequence are named by their place, effects by their id.
+
+    Example:
+        >>> distributions_in({"airlight": Uniform(0.5, 0.9), "wind_m_per_s": (0.0, Uniform(-3, 3), 0.0)})
+        {'airlight': Uniform(low=0.5, high=0.9), 'wind_m_per_s.1': Uniform(low=-3, high=3)}
+    """
+    if isinstance(value, Distribution):
+        return {name: value}
+    found: dict[str, Distribution] = {}
+    for key, one in _inside(value):
+        found |= distributions_in(one, f"{name}.{key}" if name else key)
+    return found
+
+
+def with_drawn(value: Any, drawn: Mapping[str, Any], name: str = "") -> Any:
+    """Nested values with numbers in place of distributions; those without a number stay.
+
+    Args:
+        value, name: as of `distributions_in`.
+        drawn: dotted name to what stands in the distribution's place.
+
+    Example:
+        >>> with_drawn({"airlight": Uniform(0.5, 0.9)}, {"airlight": 0.7})
+        {'airlight': 0.7}
+    """
+    if isinstance(value, Distribution):
+        return drawn.get(name, value)
+    if not distributions_in(value):
+        return value
+    inside = {key: with_drawn(one, drawn, f"{name}.{key}" if name else key) for key, one in _inside(value)}
+    if hasattr(value, "with_values"):
+        return value.with_values({key: one for key, one in inside.items() if not isinstance(one, Distribution)})
+    return inside if isinstance(value, Mapping) else type(value)(inside.values())
+
+
+def with_distributions(value: Any, *, owner: str) -> Any:
+    """Plain values of a file with the distributions that mappings in them stand for (``{uniform: [low, high]}``).
+
+    Args:
+        value: numbers, text, lists and mappings.
+        owner: for messages.
+
+    Example:
+        >>> with_distributions({"airlight": {"uniform": [0.5, 0.9]}}, owner="options")
+        {'airlight': Uniform(low=0.5, high=0.9)}
+    """
+    if isinstance(value, Mapping):
+        if any(kind in value for kind in (*KINDS, "choice")):
+            return distribution_from(value, owner=owner)
+        return {key: with_distributions(one, owner=f"{owner}.{key}") for key, one in value.items()}
+    return [with_distributions(one, owner=owner) for one in value] if isinstance(value, list) else value
+
+
+def refuse_fixed(values: Mapping[str, Any], fixed: Sequence[str], owner: object) -> None:
+    """Raise where a value is a distribution that all samples share.
+
+    Args:
+        values: by name.
+        fixed: names of those that are not drawn.
+        owner: for messages.
+    """
+    for name in fixed:
+        for given in distributions_in(values.get(name), name).values():
+            raise InputValueError(
+                f"{owner}: {name} cannot be drawn for each sample; got {given!r}. Give one value for all samples."
+            )
+
+
+def _inside(value: Any) -> list[tuple[str, Any]]:
+    """Named elements of a container; none of what is no container."""
+    if hasattr(value, "random") and hasattr(value, "with_values"):
+        return list(value.random.items())
+    if isinstance(value, Mapping):
+        return [(str(key), one) for key, one in value.items()]
+    if not isinstance(value, (tuple, list)):
+        return []
+    names = [one.get("effect") if isinstance(one, Mapping) else getattr(one, "id", None) for one in value]
+    return [
+        (str(place) if name is None else name, one) for place, (name, one) in enumerate(zip(names, value, strict=True))
+    ]
 
 
 def distribution_from(values: Mapping[str, Any], *, owner: str) -> Distribution:

@@ -11,6 +11,7 @@ from torchweather.core.errors import InputValueError, TorchweatherError, nearest
 
 __all__ = [
     "ANY",
+    "DRAWN",
     "FLAG",
     "MAPPING",
     "NUMBER",
@@ -86,6 +87,12 @@ FLAG = Key("true or false", lambda value: isinstance(value, bool))
 NUMBER = Key("a number", is_number)
 SHARE = Key("a number in [0, 1]", lambda value: is_number(value) and 0 <= value <= 1)
 WHOLE = Key("a whole number", is_whole)
+DRAWN = Key(
+    "a number, or {uniform: [low, high]}, {log_uniform: [low, high]} or {choice: [...]}",
+    lambda value: (
+        is_number(value) or (isinstance(value, Mapping) and bool(set(value) & {"uniform", "log_uniform", "choice"}))
+    ),
+)
 NUMBERS = Key("a list of numbers", lambda value: isinstance(value, list) and all(map(_is_number_or_list, value)))
 ANY = Key("a value", lambda value: True)
 MAPPING = Key("keys with values", lambda value: isinstance(value, Mapping))
@@ -147,7 +154,8 @@ def field_keys(kind: type) -> dict[str, Key]:
     found = {}
     for one in fields(kind):
         annotation = str(one.type)
-        key = by_type.get(annotation.partition("[")[0].partition(" ")[0], NUMBER)
+        number = DRAWN if one.name in getattr(kind, "drawable", ()) else NUMBER
+        key = by_type.get(annotation.partition("[")[0].partition(" ")[0], number)
         found[one.name] = key.or_null if "None" in annotation else key
     return found
 

@@ -23,6 +23,7 @@ from torchweather.export.metadata import model_properties, set_properties
 from torchweather.export.radar_graph import MAP_FORM, RADAR_FORM
 from torchweather.export.traceable import GraphForm, GraphSizes, Traceable
 from torchweather.lidar.transform import LidarWeather
+from torchweather.pipeline.sensor_transform import WeatherTransform
 from torchweather.radar import RangeDopplerMap
 from torchweather.radar.transform import RadarAttenuation
 
@@ -111,7 +112,10 @@ def to_onnx(
         ['bayer', 'depth', 'fx', 'fy', 'cx', 'cy', 'mor_m']
     """
     target = Path(path)
-    share = getattr(getattr(transform, "transform", transform), "p", 1.0)
+    inner = getattr(transform, "transform", transform)
+    if isinstance(inner, WeatherTransform):
+        inner.refuse_nuisances()
+    share = getattr(inner, "p", 1.0)
     if share != 1.0:
         raise InputValueError(
             f"to_onnx: a graph draws nothing and always has weather; got a transform with p={share:g}. Export one with "

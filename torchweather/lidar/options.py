@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from torchweather.lidar.sweep.own_vehicle import OwnVehicleMask
 from torchweather.pipeline.options import TransformOptions
@@ -26,3 +27,5 @@ class LidarOptions(TransformOptions):
     own_vehicle: OwnVehicleMask | Sequence[float] | str | None = None
     variant: str | None = None
     ego_speed_m_per_s: float = 0.0
+
+    fixed: ClassVar[tuple[str, ...]] = ("p", "lost", "complete_scan", "own_vehicle")

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.distributions import Distribution
 from torchweather.core.errors import (
     InputTypeError,
     InputValueError,
@@ -67,23 +68,23 @@ class LidarFields(TypedDict, total=False):
     """Fields that a preset can be given anew, by name; those of `Lidar`."""
 
     wavelength_nm: float
-    exit_diameter_mm: float
-    divergence_mrad: float
-    pulse_width_ns: float
-    range_at_10_percent_m: float
-    near_start_m: float
-    near_full_m: float
-    near_power: float
+    exit_diameter_mm: float | Distribution
+    divergence_mrad: float | Distribution
+    pulse_width_ns: float | Distribution
+    range_at_10_percent_m: float | Distribution
+    near_start_m: float | Distribution
+    near_full_m: float | Distribution
+    near_power: float | Distribution
     min_range_m: float
     max_range_m: float
-    photons_at_threshold: float
+    photons_at_threshold: float | Distribution
     range_resolution_m: float
-    range_noise_m: float
+    range_noise_m: float | Distribution
     return_mode: str
-    margin_db: float
+    margin_db: float | Distribution
     echo_separation_m: float | None
     intensity_unit: str
-    assumed_reflectivity: float
+    assumed_reflectivity: float | Distribution
     zero_intensity: float | None
     elevations_deg: tuple[float, ...] | None
     columns: int | None
@@ -152,6 +153,11 @@ class Lidar(Sensor):
     """
 
     kind: ClassVar[str] = "lidar"
+    drawable: ClassVar[tuple[str, ...]] = (
+        *("divergence_mrad", "exit_diameter_mm", "pulse_width_ns", "range_at_10_percent_m"),
+        *("near_start_m", "near_full_m", "near_power"),
+        *("photons_at_threshold", "range_noise_m", "margin_db", "assumed_reflectivity"),
+    )
     data_fields: ClassVar[tuple[str, ...]] = ("directions",)
 
     wavelength_nm: float
@@ -193,6 +199,8 @@ class Lidar(Sensor):
             ...
 
     def __post_init__(self) -> None:
+        if self._ends_are_good():
+            return
         object.__setattr__(self, "origin_m", checked_origin(self.origin_m))
         check_fields(self, RANGES)
         check_one_of("return_mode", self.return_mode, RETURN_MODES, owner=self)

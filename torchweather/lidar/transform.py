@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import PatchyAir, patchy_air
-from torchweather.atmosphere.weather import CLEAR_AIR, Snow, Weather, check_intensities
+from torchweather.atmosphere.weather import CLEAR_AIR, Snow, Weather
 from torchweather.core.arguments import check_arguments
+from torchweather.core.distributions import Distribution
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
@@ -104,7 +105,7 @@ class LidarWeather(WeatherTransform):
 
     Args:
         weather: ``Rain``, ``Fog``, ``Snow`` or a ``Mixture`` of them, with water or snow on things
-            (``torchweather.atmosphere.conditions``) or without.
+            (``torchweather.atmosphere.conditions``) or without. ``None``: that of the ``Compose`` around it.
         sensor: the LiDAR.
         q_eff: extinction efficiency that the sensor sees; ``None`` is 1.1 for rain and snow and 2 for fog.
         q_back: backscatter efficiency of raindrops; ``None`` is 0.2 (0.06 at 1550 nm), ``"glints"`` the lower bound
@@ -137,6 +138,11 @@ class LidarWeather(WeatherTransform):
         effects: of ``stages.EFFECTS`` for LiDAR, or their dictionaries; each goes to its place in the chain.
         p: probability that a sample gets the weather; the others come back as they are.
 
+    What is not known may be a distribution, drawn for each sample: ``q_eff``, ``q_back``, ``fog_extinction``,
+    ``fog_backscatter``, ``receiver``, ``ego_speed_m_per_s``, parameters of effects (``lidar.threshold_shift``), and
+    fields of the sensor that ``Lidar.drawable`` names, such as ``near_full_m``.
+    ``docs/how-to/draw-what-is-not-known.md`` gives ranges and what they cost.
+
     Note:
         Single scattering. The beam is uniform inside its cone. Rows without return are simulated only where their
         direction is known: ``Lidar(directions=...)``, ``directions=`` at the call, or ``complete_scan``.
@@ -159,88 +165,89 @@ class LidarWeather(WeatherTransform):
 
     def __init__(
         self,
-        weather: Weather,
+        weather: Weather | None,
         sensor: Lidar,
         *,
-        q_eff: float | None = None,
-        q_back: float | str | None = None,
-        fog_extinction: str = "mie",
-        fog_backscatter: str = "mie",
-        receiver: str = "gate",
+        q_eff: float | Distribution | None = None,
+        q_back: float | str | Distribution | None = None,
+        fog_extinction: str | Distribution = "mie",
+        fog_backscatter: str | Distribution = "mie",
+        receiver: str | Distribution = "gate",
         lost: str = "zero",
         complete_scan: bool | str = False,
         beam_ends: str = "scene",
         own_vehicle: OwnVehicleMask | Sequence[float] | str | None = None,
         variant: str | None = None,
-        ego_speed_m_per_s: float = 0.0,
+        ego_speed_m_per_s: float | Distribution = 0.0,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
+        super().__init__()
+        values: dict[str, Any] = {
+            "q_eff": q_eff,
+            "q_back": q_back,
+            "fog_extinction": fog_extinction,
+            "fog_backscatter": fog_backscatter,
+            "receiver": receiver,
+            "lost": lost,
+            "complete_scan": complete_scan,
+            "beam_ends": beam_ends,
+            "own_vehicle": own_vehicle,
+            "variant": variant,
+            "ego_speed_m_per_s": ego_speed_m_per_s,
+            "effects": effects,
+            "p": p,
+        }
+        at, sensor = self._fixed(weather, LidarOptions(**values), sensor)
         check_arguments(
-            "LidarRain(weather: Weather, sensor: Lidar, q_eff: float | None, q_back: float | str | None, "
+            "LidarRain(weather: Weather | None, sensor: Lidar, q_eff: float | None, q_back: float | str | None, "
             "fog_extinction: str, fog_backscatter: str, lost: str, complete_scan: bool | str, beam_ends: str, "
             "own_vehicle: OwnVehicleMask | Sequence[float] | str | None, variant: str | None, "
             "ego_speed_m_per_s: float, effects: Sequence, p: float)",
             weather,
             sensor,
-            q_eff,
-            q_back,
-            fog_extinction,
-            fog_backscatter,
-            lost,
-            complete_scan,
-            beam_ends,
-            own_vehicle,
-            variant,
-            ego_speed_m_per_s,
-            effects,
-            p,
+            at.q_eff,
+            at.q_back,
+            at.fog_extinction,
+            at.fog_backscatter,
+            at.lost,
+            at.complete_scan,
+            at.beam_ends,
+            at.own_vehicle,
+            at.variant,
+            at.ego_speed_m_per_s,
+            at.effects,
+            at.p,
         )
-        super().__init__()
-        self.options = LidarOptions(
-            q_eff=q_eff,
-            q_back=q_back,
-            fog_extinction=fog_extinction,
-            fog_backscatter=fog_backscatter,
-            receiver=receiver,
-            lost=lost,
-            complete_scan=complete_scan,
-            beam_ends=beam_ends,
-            own_vehicle=own_vehicle,
-            variant=variant,
-            ego_speed_m_per_s=ego_speed_m_per_s,
-            effects=effects,
-            p=p,
-        )
-        self._check_weather(weather)
-        self._check_p(p)
+        weather = self._check_weather(weather)
+        self._check_p(at.p)
         Lidar.check(sensor, "sensor", "ouster-os1-128", owner=self)
-        self._check_variant(weather, variant)
-        check_one_of("lost", lost, LOST_AS, owner=self)
-        if complete_scan not in COMPLETE_SCAN:
+        self._check_variant(weather, at.variant)
+        check_one_of("lost", at.lost, LOST_AS, owner=self)
+        if at.complete_scan not in COMPLETE_SCAN:
             raise InputValueError(
-                f'{type(self).__name__}: complete_scan must be False, True or "sky"; got {complete_scan!r}.'
+                f'{type(self).__name__}: complete_scan must be False, True or "sky"; got {at.complete_scan!r}.'
             )
-        if complete_scan and sensor.azimuths_deg is not None:
+        if at.complete_scan and sensor.azimuths_deg is not None:
             raise InputValueError(
                 f"{type(self).__name__}: complete_scan is for a sensor that turns; a flash has a row for every pixel. "
                 "Give the whole grid, with directions=torchweather.lidar.scan.scan_directions(sensor)."
             )
-        check_one_of("beam_ends", beam_ends, BEAM_ENDS, owner=self)
-        self.beam_ends, self._find_beams = beam_ends, BeamFinder()
-        self.own_vehicle = checked_own_vehicle(own_vehicle, sensor, type(self).__name__)
-        if variant == "hahner":
-            fog_backscatter, fog_extinction = "hahner", "koschmieder"
+        check_one_of("beam_ends", at.beam_ends, BEAM_ENDS, owner=self)
+        self.beam_ends, self._find_beams = at.beam_ends, BeamFinder()
+        self.own_vehicle = checked_own_vehicle(at.own_vehicle, sensor, type(self).__name__)
+        if at.variant == "hahner":
+            at = replace(at, fog_backscatter="hahner", fog_extinction="koschmieder")
         self.weather, self.sensor = weather, sensor
         weather = weather.densest()
-        self.lost, self.complete_scan = lost, complete_scan
-        published = "d3_4" if variant == "d3_4" else None
-        parts = _with_packed_flakes(weather.parts) if variant == "hahner" else weather.parts or (CLEAR_AIR,)
+        self.lost, self.complete_scan = at.lost, at.complete_scan
+        published = "d3_4" if at.variant == "d3_4" else None
+        parts = _with_packed_flakes(weather.parts) if at.variant == "hahner" else weather.parts or (CLEAR_AIR,)
         air = patchy_air(weather)
         if air and published:
             raise InputValueError(f'{type(self).__name__}: variant="d3_4" knows no patches; set patch_log_std=0.')
-        doppler = {} if sensor.speed_column is None else {"radial_speed": RadialSpeed(sensor, ego_speed_m_per_s)}
-        if ego_speed_m_per_s != 0 and not doppler:
+        doppler = {} if sensor.speed_column is None else {"radial_speed": RadialSpeed(sensor, at.ego_speed_m_per_s)}
+        if at.ego_speed_m_per_s != 0 and not doppler:
             raise InputValueError(
                 f"{type(self).__name__}: ego_speed_m_per_s is for a LiDAR that measures speeds; set "
                 "Lidar(speed_column=...), or leave it out."
@@ -249,14 +256,16 @@ class LidarWeather(WeatherTransform):
             {
                 **air,
                 "to_energy": ToEnergy(sensor),
-                "extinction": Extinction(parts, sensor, q_eff, fog_extinction, published),
-                "particle_returns": ParticleReturns(parts, sensor, q_back, fog_backscatter, published, receiver),
+                "extinction": Extinction(parts, sensor, at.q_eff, at.fog_extinction, published),
+                "particle_returns": ParticleReturns(
+                    parts, sensor, at.q_back, at.fog_backscatter, published, at.receiver
+                ),
                 "detection": Detection(sensor),
                 "to_points": ToPoints(sensor),
                 **doppler,
             }
         )
-        self.chain = with_conditions(plain, effects, lidar_conditions(weather, sensor), self)
+        self.chain = with_conditions(plain, at.effects, lidar_conditions(weather, sensor), self)
         self.as_built = AsBuilt.of(self.chain)
 
     def _check_variant(self, weather: Weather, variant: str | None) -> None:
@@ -334,6 +343,9 @@ class LidarWeather(WeatherTransform):
         if not isinstance(points, Tensor) or points.ndim < 2:
             check_points(points, self.sensor, self)  # refuses it
         if self.must_draw(noise, seed, generator):
+            if self.draws_alone and points.ndim > 2 and points.numel():
+                beside = {"directions": directions, "reach_m": reach_m}
+                return self.each_alone(self.forward, points, seed, generator, beside, 2)
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.forward(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
         beams, state = self._begin(points, directions, reach_m)
@@ -359,6 +371,9 @@ class LidarWeather(WeatherTransform):
         if not isinstance(points, Tensor) or points.ndim < 2:
             check_points(points, self.sensor, self)  # refuses it
         if self.must_draw(noise, seed, generator):
+            if self.draws_alone and points.ndim > 2 and points.numel():
+                beside = {"directions": directions, "reach_m": reach_m}
+                return self.each_alone(self.run, points, seed, generator, beside, 2)
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.run(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
         beams, before = self._begin(points, directions, reach_m)
@@ -509,7 +524,7 @@ class LidarWeather(WeatherTransform):
         check_points(points, self.sensor, self)
         if directions is None and self.sensor.directions is None:
             warn_of_frame(points, self.sensor, self)
-        check_intensities(self.weather, points.shape[:-2], owner=self)
+        self.refuse_undrawn(points.shape[:-2])
         along = self.sensor.directions if directions is None else directions
         along = directions_in_sensor_frame(along, self.sensor)
         # In the sensor's frame, from where each beam starts, until _outgoing.

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.distributions import Distribution, with_distributions
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, check_one_of
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.registry import load_catalogue, register
@@ -57,6 +58,16 @@ class Parameter:
         if self.default is not None:
             return self.default
         return self.low if self.identity is None else self.identity
+
+    def first_of(self, values: Distribution, owner: object) -> float:
+        """A value of a distribution, all of whose ends lie within the bounds; anything else is refused."""
+        for end in values.ends():
+            try:
+                check_arguments(f"{type(owner).__name__}({self.name}: float)", end)
+                self.tensor(end, owner)
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"{error} It is an end of {values!r}.") from error
+        return float(values.ends()[0])
 
     def tensor(self, value: float | Sequence[float] | Tensor, owner: object) -> Tensor:
         """A value within the bounds as float32, ``()`` or ``(B,)``; anything else is refused."""
@@ -145,21 +156,30 @@ class Effect(Stage):
         if "id" in cls.__dict__:
             cls.default_name = cls.id.partition(".")[2]
 
-    def __init__(self, **values: float | Sequence[float] | Tensor) -> None:
+    def __init__(self, **values: float | Sequence[float] | Tensor | Distribution) -> None:
         super().__init__()
+        self.random: dict[str, Distribution] = {}
+        """Parameters that are drawn for each sample, by name."""
         unknown = sorted(set(values) - {parameter.name for parameter in self.arguments})
         if unknown:
             known = ", ".join(f"{parameter.name} ({parameter.unit})" for parameter in self.arguments)
             raise InputTypeError(f"{type(self).__name__}: its parameters are {known}; got {', '.join(unknown)}.")
         for parameter in self.arguments:
             value = values.get(parameter.name, parameter.value)
+            if isinstance(value, Distribution):
+                self.random[parameter.name], value = value, parameter.first_of(value, owner=self)
             self.register_buffer(parameter.name, parameter.tensor(value, owner=self))
 
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """The same effect with other values of parameters that ``random`` names."""
+        return type(self)(**{**{one.name: getattr(self, one.name) for one in self.arguments}, **self.random, **values})
+
     def config(self) -> dict[str, Any]:
-        """The parameters as numbers, lists where they differ between samples; a bound that float32 rounds outwards as
-        the bound itself, so that they are taken again."""
+        """The parameters as numbers, lists where they differ between samples, or the plain values of a distribution; a
+        bound that float32 rounds outwards as the bound itself, so that they are taken again."""
         values = {one: getattr(self, one.name).detach().double() for one in self.arguments}
-        return {one.name: value.clamp(one.low, one.high).tolist() for one, value in values.items()}
+        numbers = {one.name: value.clamp(one.low, one.high).tolist() for one, value in values.items()}
+        return numbers | {name: one.to_dict() for name, one in self.random.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values: ``effect``, its id, and the parameters."""
@@ -185,6 +205,11 @@ class Effect(Stage):
 
     def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:
         """The state after the effect."""
+        for name, one in self.random.items():
+            raise InputValueError(
+                f"{type(self).__name__}: {name} must be a number here; got {one!r}. Give the effect to a transform "
+                "(effects=[...]), which draws one for each sample."
+            )
         missing = [name for name in self.needs if state.field(name) is None]
         if missing:
             raise InputValueError(
@@ -268,7 +293,7 @@ def effect_from_dict(values: Mapping[str, Any]) -> Effect:
     if not all(isinstance(key, str) for key in arguments):
         raise InputTypeError(f"effect_from_dict: keys must be text; got {list(arguments)!r:.200}.")
     check_one_of("effect", name, EFFECTS, owner="effect_from_dict")
-    return EFFECTS[name](**arguments)
+    return EFFECTS[name](**with_distributions(arguments, owner=f"effect_from_dict: {name}"))
 
 
 def with_effects(chain: Chain, effects: Iterable[Effect]) -> Chain:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
-from typing import Any
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import Any, ClassVar, Self
 
+from torchweather.core.distributions import Distribution, distributions_in, with_drawn
 from torchweather.pipeline.effect import Effect
 
 __all__ = ["TransformOptions"]
@@ -15,7 +16,8 @@ __all__ = ["TransformOptions"]
 class TransformOptions:
     """Options that transforms of all sensors have; each sensor's class adds its own.
 
-    A transform is built from its weather, its sensor and its options.
+    A transform is built from its weather, its sensor and its options. Options may hold distributions; those that
+    ``fixed`` names may not.
 
     Args:
         effects: effects of the sensor, or their dictionaries; each goes to its place in the chain.
@@ -24,6 +26,21 @@ class TransformOptions:
 
     effects: Sequence[Effect | Mapping[str, Any]] = ()
     p: float = 1.0
+
+    fixed: ClassVar[tuple[str, ...]] = ("p",)
+    """Options that are one value for all samples."""
+    ahead: ClassVar[tuple[str, ...]] = ("ego_speed_m_per_s",)
+    """Options whose largest value needs the most room: a transform whose options are yet to be drawn takes it."""
+
+    @property
+    def random(self) -> dict[str, Distribution]:
+        """Values that are drawn for each sample, by name: ``airlight``, ``effects.camera.exposure_gain.factor``."""
+        return distributions_in(self.arguments())
+
+    def with_drawn(self, values: Mapping[str, Any]) -> Self:
+        """The same options with numbers in place of distributions."""
+        names = dict.fromkeys(name.partition(".")[0] for name in values)
+        return replace(self, **{name: with_drawn(getattr(self, name), values, name) for name in names})
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of the transform's constructor, in its order: those of the sensor first."""

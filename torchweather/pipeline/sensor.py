@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any, ClassVar, Self
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
+from torchweather.core.distributions import Distribution, distributions_in, with_distributions
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_one_of, nearest_name
 from torchweather.core.schema import ANY, check_keys, field_keys, one_of
 from torchweather.core.yaml_file import parse_yaml, read_yaml
@@ -39,6 +41,39 @@ class Sensor:
     """Key of its data in a sample where no other is given."""
     data_fields: ClassVar[tuple[str, ...]] = ()
     """Fields that belong to the data and not to a recipe."""
+    drawable: ClassVar[tuple[str, ...]] = ()
+    """Fields that may be drawn for each sample: what is seldom known of a sensor."""
+
+    @property
+    def random(self) -> dict[str, Distribution]:
+        """Fields that are drawn for each sample, by name."""
+        return distributions_in({field.name: getattr(self, field.name) for field in fields(self)})  # type: ignore[arg-type]
+
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """The same sensor with other values of fields that ``random`` names."""
+        return replace(self, **values) if values else self  # type: ignore[type-var]
+
+    def _ends_are_good(self) -> bool:
+        """Whether anything is drawn for each sample; all corners of what can be drawn have then been checked."""
+        random = self.random
+        for name, one in random.items():
+            if name not in self.drawable:
+                raise InputValueError(
+                    f"{type(self).__name__}: {name} cannot be drawn for each sample; got {one!r}. Give a number. Drawn "
+                    f"can be: {', '.join(self.drawable)}."
+                )
+        if not random:
+            return False
+        for corner in itertools.product(*(one.ends() for one in random.values())):
+            values = dict(zip(random, corner, strict=True))
+            try:
+                plain = self.with_values(values)
+            except (TypeError, ValueError) as error:
+                raise type(error)(f"{error} It is an end of {random!r}.") from error
+        for field in fields(self):  # type: ignore[arg-type]
+            if field.name not in random:  # what the constructor completes
+                object.__setattr__(self, field.name, getattr(plain, field.name))
+        return True
 
     @classmethod
     def of(cls, value: object) -> Self:
@@ -108,6 +143,7 @@ class Sensor:
             raise InputValueError(f"sensor.kind must be {cls.kind}; got {kind!r}.")
         # A list of YAML stands for a tuple of the dataclass.
         given = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
+        given = with_distributions(given, owner=cls.__name__)
         return cls.from_dict(given) if preset is None else cls.preset(str(preset), **given)
 
     @classmethod
@@ -124,7 +160,8 @@ class Sensor:
                     "--camera FILE."
                 )
         check_keys(values, keys, str(path))
-        given = {key: value for key, value in values.items() if key not in _OTHER_KEYS} | dict(overrides)
+        given = {key: value for key, value in values.items() if key not in _OTHER_KEYS}
+        given = with_distributions(given, owner=str(path)) | dict(overrides)
         preset = values.get("preset")
         required = [field.name for field in fields(cls) if field.default is field.default_factory is MISSING]  # type: ignore[arg-type]
         missing = [name for name in required if name not in given]
@@ -145,8 +182,10 @@ class Sensor:
 
 
 def _plain(value: Any) -> Any:
-    """Tuples and tensors as lists."""
+    """Tuples and tensors as lists, distributions as mappings."""
     if isinstance(value, tuple):
         nested = any(isinstance(item, (tuple, Tensor)) for item in value)
         return [_plain(item) for item in value] if nested else [*value]
+    if isinstance(value, Distribution):
+        return value.to_dict()
     return value.tolist() if isinstance(value, Tensor) else value

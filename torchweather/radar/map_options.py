@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from torchweather.pipeline.options import TransformOptions
 from torchweather.radar.power_map.power_map import MapAxes
@@ -30,3 +31,5 @@ class RadarMapOptions(TransformOptions):
     clutter: bool = True
     clutter_share: float = 1.0
     ego_speed_m_per_s: float = 0.0
+
+    fixed: ClassVar[tuple[str, ...]] = ("p", "axes", "scale", "looks", "oversampling")

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import patchy_air
-from torchweather.atmosphere.weather import CLEAR_AIR, Rain, Snow, Weather, check_intensities
+from torchweather.atmosphere.weather import CLEAR_AIR, Rain, Snow, Weather
 from torchweather.core.arguments import check_arguments
+from torchweather.core.distributions import Distribution
 from torchweather.core.errors import InputTypeError, InputValueError, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.pipeline.as_built import AsBuilt
@@ -79,6 +80,8 @@ class RadarMapWeather(WeatherTransform):
         effects: ``radar.wet_radome``, ``radar.path_loss_scale``, ``radar.noise_floor``, or their dictionaries.
         p: probability that a sample gets the weather; the others come back as they are.
 
+    What is not known may be a distribution, drawn for each sample, as of ``RadarAttenuation``.
+
     Note:
         Without weather the input's own bits come out. A cell that was cut off at the top of its scale loses from there.
 
@@ -103,7 +106,7 @@ class RadarMapWeather(WeatherTransform):
 
     def __init__(
         self,
-        weather: Weather,
+        weather: Weather | None,
         sensor: Radar,
         *,
         axes: MapAxes,
@@ -111,88 +114,92 @@ class RadarMapWeather(WeatherTransform):
         noise_floor_db: float | Sequence[float] | None = None,
         looks: int = 1,
         oversampling: float | None = None,
-        rain_model: str = "p838",
-        fog_model: str = "p840",
-        snow_model: str = "dsd_mie",
-        radome_loss_db: float = 0.0,
-        radome_film_db: float = 0.0,
-        radome_film_exponent: float = 1.0 / 3.0,
+        rain_model: str | Distribution = "p838",
+        fog_model: str | Distribution = "p840",
+        snow_model: str | Distribution = "dsd_mie",
+        radome_loss_db: float | Distribution = 0.0,
+        radome_film_db: float | Distribution = 0.0,
+        radome_film_exponent: float | Distribution = 1.0 / 3.0,
         clutter: bool = True,
-        clutter_share: float = 1.0,
-        ego_speed_m_per_s: float = 0.0,
+        clutter_share: float | Distribution = 1.0,
+        ego_speed_m_per_s: float | Distribution = 0.0,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
+        super().__init__()
+        values: dict[str, Any] = {
+            "axes": axes,
+            "scale": scale,
+            "noise_floor_db": noise_floor_db,
+            "looks": looks,
+            "oversampling": oversampling,
+            "rain_model": rain_model,
+            "fog_model": fog_model,
+            "snow_model": snow_model,
+            "radome_loss_db": radome_loss_db,
+            "radome_film_db": radome_film_db,
+            "radome_film_exponent": radome_film_exponent,
+            "clutter": clutter,
+            "clutter_share": clutter_share,
+            "ego_speed_m_per_s": ego_speed_m_per_s,
+            "effects": effects,
+            "p": p,
+        }
+        at, sensor = self._fixed(weather, RadarMapOptions(**values), sensor)
         check_arguments(
             "RadarMapWeather(noise_floor_db: float | Sequence[float] | None, looks: int, "
             "oversampling: float | None, rain_model: str, fog_model: str, snow_model: str, radome_loss_db: float, "
             "radome_film_db: float, radome_film_exponent: float, clutter: bool, clutter_share: float, "
             "ego_speed_m_per_s: float, effects: Sequence, p: float)",
-            noise_floor_db,
-            looks,
-            oversampling,
-            rain_model,
-            fog_model,
-            snow_model,
-            radome_loss_db,
-            radome_film_db,
-            radome_film_exponent,
-            clutter,
-            clutter_share,
-            ego_speed_m_per_s,
-            effects,
-            p,
+            at.noise_floor_db,
+            at.looks,
+            at.oversampling,
+            at.rain_model,
+            at.fog_model,
+            at.snow_model,
+            at.radome_loss_db,
+            at.radome_film_db,
+            at.radome_film_exponent,
+            at.clutter,
+            at.clutter_share,
+            at.ego_speed_m_per_s,
+            at.effects,
+            at.p,
         )
-        super().__init__()
-        self.options = RadarMapOptions(
-            axes=axes,
-            scale=scale,
-            noise_floor_db=noise_floor_db,
-            looks=looks,
-            oversampling=oversampling,
-            rain_model=rain_model,
-            fog_model=fog_model,
-            snow_model=snow_model,
-            radome_loss_db=radome_loss_db,
-            radome_film_db=radome_film_db,
-            radome_film_exponent=radome_film_exponent,
-            clutter=clutter,
-            clutter_share=clutter_share,
-            ego_speed_m_per_s=ego_speed_m_per_s,
-            effects=effects,
-            p=p,
-        )
-        self._check_weather(weather)
-        self._check_p(p)
+        weather = self._check_weather(weather)
+        self._check_p(at.p)
         Radar.check(sensor, "sensor", "imaging-77ghz", owner=self)
-        for name, value, wanted in (("axes", axes, MapAxes), ("scale", scale, PowerScale)):
+        for name, value, wanted in (("axes", at.axes, MapAxes), ("scale", at.scale, PowerScale)):
             if not isinstance(value, wanted):
                 raise InputTypeError(f"RadarMapWeather: {name} must be {wanted.__name__}; got {type(value).__name__}.")
-        self.weather, self.sensor, self.axes, self.scale = weather, sensor, axes, scale
-        self.data_shape = axes.dims
-        self.ego_speed_m_per_s = float(ego_speed_m_per_s)
+        self.weather, self.sensor, self.axes, self.scale = weather, sensor, at.axes, at.scale
+        self.data_shape = at.axes.dims
+        self.ego_speed_m_per_s = float(at.ego_speed_m_per_s)
         dense = weather.densest()
+        oversampling = at.oversampling
         if oversampling is None:
-            oversampling = max(1.0, sensor.range_resolution_m / axes.range_bin_m)
-        floor = list(noise_floor_db) if isinstance(noise_floor_db, Sequence) else noise_floor_db
+            oversampling = max(1.0, sensor.range_resolution_m / at.axes.range_bin_m)
+        floor = list(at.noise_floor_db) if isinstance(at.noise_floor_db, Sequence) else at.noise_floor_db
         stages = {
-            **patchy_air(dense, ego_speed_m_per_s),
-            "path_attenuation": PathAttenuation(dense.parts or (CLEAR_AIR,), sensor, rain_model, fog_model, snow_model),
+            **patchy_air(dense, at.ego_speed_m_per_s),
+            "path_attenuation": PathAttenuation(
+                dense.parts or (CLEAR_AIR,), sensor, at.rain_model, at.fog_model, at.snow_model
+            ),
         }
-        if radome_loss_db or radome_film_db:
+        if at.radome_loss_db or at.radome_film_db:
             rates = [part.intensity for part in dense.parts if isinstance(part, Rain)]
             stages["wet_cover"] = WetRadome(
-                rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent
+                rates[0] if rates else 0.0, at.radome_loss_db, at.radome_film_db, at.radome_film_exponent
             )
-        stages["map_receiver"] = MapReceiver(axes, scale, floor, looks, oversampling)
-        built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in effects]
+        stages["map_receiver"] = MapReceiver(at.axes, at.scale, floor, at.looks, oversampling)
+        built = [effect if isinstance(effect, Effect) else effect_from_dict(effect) for effect in at.effects]
         conditions = radar_conditions(dense, sensor)
         for effect in (*built, *(effect for _, effect in conditions.effects)):
             check_one_of("effects", effect.id, MAP_EFFECTS, owner=self)
         chain = with_conditions(Chain(stages), built, conditions, self)
         for part in dense.parts:
-            if clutter and clutter_share > 0 and isinstance(part, (Rain, Snow)):
-                echo = MapClutter(part, sensor, axes, clutter_share, ego_speed_m_per_s=ego_speed_m_per_s)
+            if at.clutter and at.clutter_share > 0 and isinstance(part, (Rain, Snow)):
+                echo = MapClutter(part, sensor, at.axes, at.clutter_share, ego_speed_m_per_s=at.ego_speed_m_per_s)
                 chain = chain.insert(echo, before="map_receiver", name=f"{part.kind}_clutter")
         self.chain = chain
         self.as_built = AsBuilt.of(self.chain)
@@ -229,6 +236,8 @@ class RadarMapWeather(WeatherTransform):
         if not isinstance(values, Tensor):
             self._check_values(values)  # refuses it
         if self.must_draw(noise, seed, generator):
+            if self.draws_alone and values.ndim > len(self.axes.dims) and values.numel():
+                return self.each_alone(self.forward, values, seed, generator, {}, len(self.axes.dims))
             chosen, seeds = self.at_call(values.shape[: values.ndim - len(self.axes.dims)], seed, generator)
             return chosen.forward(values, chosen.draw(values, seed=seeds))
         state = self._through(values, noise)
@@ -251,6 +260,8 @@ class RadarMapWeather(WeatherTransform):
         if not isinstance(values, Tensor):
             self._check_values(values)  # refuses it
         if self.must_draw(noise, seed, generator):
+            if self.draws_alone and values.ndim > len(self.axes.dims) and values.numel():
+                return self.each_alone(self.run, values, seed, generator, {}, len(self.axes.dims))
             chosen, seeds = self.at_call(values.shape[: values.ndim - len(self.axes.dims)], seed, generator)
             return chosen.run(values, chosen.draw(values, seed=seeds))
         state = self._through(values, noise)
@@ -328,7 +339,7 @@ class RadarMapWeather(WeatherTransform):
     def _through(self, values: Tensor, noise: Mapping[str, Tensor] | None) -> PowerMapState:
         self._check_values(values)
         batch = values.shape[: values.ndim - len(self.axes.dims)]
-        check_intensities(self.weather, batch, owner=self)
+        self.refuse_undrawn(batch)
         flat = values.reshape(math.prod(batch), *self.axes.shape)
         state = map_state(flat, self.axes, self.sensor, self.ego_speed_m_per_s)
         drawn = self.chain.draw(state) if noise is None else self._flat_noise(noise, state, batch)

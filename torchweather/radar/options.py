@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from torchweather.pipeline.options import TransformOptions
 
@@ -24,3 +25,5 @@ class RadarOptions(TransformOptions):
     ego_speed_m_per_s: float = 0.0
     lost: str = "zero"
     variant: str | None = None
+
+    fixed: ClassVar[tuple[str, ...]] = ("p", "lost", "clutter", "clutter_points")

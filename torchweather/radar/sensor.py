@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments, check_broadcast
+from torchweather.core.distributions import Distribution
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.core.fields import above, at_least, between, check_fields
 from torchweather.physics import SPEED_OF_LIGHT_M_PER_S, radar_constant_db, thermal_noise_dbm
@@ -48,13 +49,13 @@ class RadarFields(TypedDict, total=False):
 
     frequency_ghz: float
     polarisation: str
-    elevation_rad: float
-    transmit_power_dbm: float
-    antenna_gain_dbi: float
+    elevation_rad: float | Distribution
+    transmit_power_dbm: float | Distribution
+    antenna_gain_dbi: float | Distribution
     azimuth_beamwidth_deg: float
     elevation_beamwidth_deg: float
-    loss_db: float
-    noise_figure_db: float
+    loss_db: float | Distribution
+    noise_figure_db: float | Distribution
     bandwidth_mhz: float
     samples: int
     sample_rate_mhz: float
@@ -62,9 +63,9 @@ class RadarFields(TypedDict, total=False):
     chirps: int
     tx_half_wavelengths: tuple[tuple[float, float], ...]
     rx_half_wavelengths: tuple[tuple[float, float], ...]
-    noise_floor_db: float | None
-    detection_snr_db: float
-    margin_db: float
+    noise_floor_db: float | Distribution | None
+    detection_snr_db: float | Distribution
+    margin_db: float | Distribution
     compensated_to_m: float
 
 
@@ -108,6 +109,10 @@ class Radar(Sensor):
     """
 
     kind: ClassVar[str] = "radar"
+    drawable: ClassVar[tuple[str, ...]] = (
+        *("transmit_power_dbm", "antenna_gain_dbi", "loss_db", "noise_figure_db", "noise_floor_db"),
+        *("detection_snr_db", "margin_db", "elevation_rad"),
+    )
 
     frequency_ghz: float = 77.0
     polarisation: str = "h"
@@ -138,6 +143,8 @@ class Radar(Sensor):
             ...
 
     def __post_init__(self) -> None:
+        if self._ends_are_good():
+            return
         check_fields(self, RANGES)
         check_one_of("polarisation", self.polarisation, POLARISATIONS, owner=self)
         for name in ("tx_half_wavelengths", "rx_half_wavelengths"):

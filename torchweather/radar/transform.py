@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.atmosphere.density_field import patchy_air
-from torchweather.atmosphere.weather import CLEAR_AIR, Rain, Snow, Weather, check_intensities
+from torchweather.atmosphere.weather import CLEAR_AIR, Rain, Snow, Weather
 from torchweather.core.arguments import check_arguments
+from torchweather.core.distributions import Distribution
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.lidar.clouds import FARTHEST_M
@@ -82,7 +83,7 @@ class RadarAttenuation(WeatherTransform):
 
     Args:
         weather: ``Rain``, ``Fog``, ``Snow`` or a ``Mixture`` of them, with water or snow on things
-            (``torchweather.atmosphere.conditions``) or without.
+            (``torchweather.atmosphere.conditions``) or without. ``None``: that of the ``Compose`` around it.
         sensor: the radar; its ``floor_db`` is in the unit of the power column.
         rain_model: ``p838`` (ITU-R P.838-3, the default), ``dsd_mie`` (Mie over the rain's own drops) or ``d3_4``
             (Sander 1975 as published).
@@ -100,6 +101,9 @@ class RadarAttenuation(WeatherTransform):
         variant: ``d3_4``: all three models as the deliverable published them.
         effects: of ``stages.EFFECTS`` for radar, or their dictionaries; each goes to its place in the chain.
         p: probability that a sample gets the weather; the others come back as they are.
+
+    What is not known may be a distribution, drawn for each sample: the models, the radome's values,
+    ``ego_speed_m_per_s``, parameters of effects, and fields of the sensor that ``Radar.drawable`` names.
 
     Note:
         Rows at the origin are no detections and stay as they are. The radar cross section column stays: it is the
@@ -122,95 +126,96 @@ class RadarAttenuation(WeatherTransform):
 
     def __init__(
         self,
-        weather: Weather,
+        weather: Weather | None,
         sensor: Radar,
         *,
-        rain_model: str | None = None,
-        fog_model: str | None = None,
-        snow_model: str | None = None,
-        radome_loss_db: float = 0.0,
-        radome_film_db: float = 0.0,
-        radome_film_exponent: float = 1.0 / 3.0,
+        rain_model: str | Distribution | None = None,
+        fog_model: str | Distribution | None = None,
+        snow_model: str | Distribution | None = None,
+        radome_loss_db: float | Distribution = 0.0,
+        radome_film_db: float | Distribution = 0.0,
+        radome_film_exponent: float | Distribution = 1.0 / 3.0,
         clutter: bool = False,
         clutter_points: int = 64,
-        ego_speed_m_per_s: float = 0.0,
+        ego_speed_m_per_s: float | Distribution = 0.0,
         lost: str = "zero",
         variant: str | None = None,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
+        super().__init__()
+        values: dict[str, Any] = {
+            "rain_model": rain_model,
+            "fog_model": fog_model,
+            "snow_model": snow_model,
+            "radome_loss_db": radome_loss_db,
+            "radome_film_db": radome_film_db,
+            "radome_film_exponent": radome_film_exponent,
+            "clutter": clutter,
+            "clutter_points": clutter_points,
+            "ego_speed_m_per_s": ego_speed_m_per_s,
+            "lost": lost,
+            "variant": variant,
+            "effects": effects,
+            "p": p,
+        }
+        at, sensor = self._fixed(weather, RadarOptions(**values), sensor)
         check_arguments(
             "RadarAttenuation(radome_loss_db: float, radome_film_db: float, radome_film_exponent: float, "
             "clutter: bool, clutter_points: int, ego_speed_m_per_s: float, lost: str, variant: str | None, p: float)",
-            radome_loss_db,
-            radome_film_db,
-            radome_film_exponent,
-            clutter,
-            clutter_points,
-            ego_speed_m_per_s,
-            lost,
-            variant,
-            p,
+            at.radome_loss_db,
+            at.radome_film_db,
+            at.radome_film_exponent,
+            at.clutter,
+            at.clutter_points,
+            at.ego_speed_m_per_s,
+            at.lost,
+            at.variant,
+            at.p,
         )
-        super().__init__()
-        self.options = RadarOptions(
-            rain_model=rain_model,
-            fog_model=fog_model,
-            snow_model=snow_model,
-            radome_loss_db=radome_loss_db,
-            radome_film_db=radome_film_db,
-            radome_film_exponent=radome_film_exponent,
-            clutter=clutter,
-            clutter_points=clutter_points,
-            ego_speed_m_per_s=ego_speed_m_per_s,
-            lost=lost,
-            variant=variant,
-            effects=effects,
-            p=p,
-        )
-        self._check_weather(weather)
-        self._check_p(p)
+        weather = self._check_weather(weather)
+        self._check_p(at.p)
         Radar.check(sensor, "sensor", "imaging-77ghz", owner=self)
-        check_one_of("lost", lost, LOST_AS, owner=self)
+        check_one_of("lost", at.lost, LOST_AS, owner=self)
         check_arguments(
             "RadarAttenuation(rain_model: str | None, fog_model: str | None, snow_model: str | None, "
             "effects: Sequence)",
-            rain_model,
-            fog_model,
-            snow_model,
-            effects,
+            at.rain_model,
+            at.fog_model,
+            at.snow_model,
+            at.effects,
         )
-        if variant is not None:
-            check_one_of("variant", variant, ("d3_4",), owner=self)
-            given = [model for model in (rain_model, fog_model, snow_model) if model is not None]
+        if at.variant is not None:
+            check_one_of("variant", at.variant, ("d3_4",), owner=self)
+            given = [model for model in (at.rain_model, at.fog_model, at.snow_model) if model is not None]
             if given:
                 raise InputValueError(
-                    f"RadarAttenuation: variant={variant!r} says all three models; got {', '.join(given)} besides. "
+                    f"RadarAttenuation: variant={at.variant!r} says all three models; got {', '.join(given)} besides. "
                     "Give one or the other."
                 )
-            rain_model = fog_model = snow_model = variant
-        self.weather, self.sensor, self.lost = weather, sensor, lost
+            at = replace(at, rain_model=at.variant, fog_model=at.variant, snow_model=at.variant)
+        self.weather, self.sensor, self.lost = weather, sensor, at.lost
         weather = weather.densest()
-        self.ego_speed_m_per_s = float(ego_speed_m_per_s)
+        self.ego_speed_m_per_s = float(at.ego_speed_m_per_s)
         plain = Chain(
             {
-                **patchy_air(weather, ego_speed_m_per_s),
+                **patchy_air(weather, at.ego_speed_m_per_s),
                 "path_attenuation": PathAttenuation(
                     weather.parts or (CLEAR_AIR,),
                     sensor,
-                    rain_model or "p838",
-                    fog_model or "p840",
-                    snow_model or "dsd_mie",
+                    at.rain_model or "p838",
+                    at.fog_model or "p840",
+                    at.snow_model or "dsd_mie",
                 ),
                 "radar_detection": RadarDetection(sensor),
                 "to_radar_points": ToRadarPoints(),
             }
         )
-        self.chain = with_conditions(plain, effects, radar_conditions(weather, sensor), self)
+        self.chain = with_conditions(plain, at.effects, radar_conditions(weather, sensor), self)
         # The cover in front of the effects, which may append echoes; the clutter behind them, which may change it.
-        if radome_loss_db or radome_film_db:
+        if at.radome_loss_db or at.radome_film_db:
             rates = [part.intensity for part in weather.parts if isinstance(part, Rain)]
-            cover = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)
+            cover = WetRadome(rates[0] if rates else 0.0, at.radome_loss_db, at.radome_film_db, at.radome_film_exponent)
             if cover.default_name in self.chain.stages:
                 raise InputValueError(
                     f"{type(self).__name__}: radome_loss_db and radome_film_db are what radar.wet_radome has as "
@@ -218,8 +223,8 @@ class RadarAttenuation(WeatherTransform):
                 )
             self.chain = self.chain.insert(cover, after="path_attenuation")
         for part in weather.parts:
-            if clutter and isinstance(part, (Rain, Snow)):
-                echo = VolumeClutter(part, sensor, capacity=clutter_points, ego_speed_m_per_s=ego_speed_m_per_s)
+            if at.clutter and isinstance(part, (Rain, Snow)):
+                echo = VolumeClutter(part, sensor, capacity=at.clutter_points, ego_speed_m_per_s=at.ego_speed_m_per_s)
                 self.chain = self.chain.insert(echo, before="radar_detection", name=f"{part.kind}_clutter")
         self.as_built = AsBuilt.of(self.chain)
 
@@ -260,6 +265,8 @@ class RadarAttenuation(WeatherTransform):
         if not isinstance(points, Tensor) or points.ndim < 2:
             check_detections(points, self.sensor, self)  # refuses it
         if self.must_draw(noise, seed, generator):
+            if self.draws_alone and points.ndim > 2 and points.numel():
+                return self.each_alone(self.forward, points, seed, generator, known, 2)
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.forward(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
         state = self._through(self.state_of(points, **known), noise, points.shape[:-2])
@@ -283,6 +290,8 @@ class RadarAttenuation(WeatherTransform):
         if not isinstance(points, Tensor) or points.ndim < 2:
             check_detections(points, self.sensor, self)  # refuses it
         if self.must_draw(noise, seed, generator):
+            if self.draws_alone and points.ndim > 2 and points.numel():
+                return self.each_alone(self.run, points, seed, generator, known, 2)
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.run(points, chosen.draw(points, seed=seeds), **known)  # type: ignore[arg-type]
         before = self.state_of(points, **known)
@@ -352,7 +361,7 @@ class RadarAttenuation(WeatherTransform):
     def state_of(self, points: Tensor, **known: Tensor) -> RadarState:
         """What the chain takes: the detections before any stage; arguments as ``forward``."""
         check_detections(points, self.sensor, self)
-        check_intensities(self.weather, points.shape[:-2], owner=self)
+        self.refuse_undrawn(points.shape[:-2])
         flat = points.reshape(math.prod(points.shape[:-2]), *points.shape[-2:])
         if flat.dtype not in (torch.float32, torch.float64):
             flat = flat.float()

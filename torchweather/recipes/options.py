@@ -15,6 +15,7 @@ from torchweather.camera.night.lamps import Night
 from torchweather.camera.options import RENAMED, CameraOptions
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.transform_spec import sensor_of, spec_of
+from torchweather.core.distributions import Distribution
 from torchweather.core.errors import InputValueError
 from torchweather.core.moved import new_names
 from torchweather.lidar.options import LidarOptions
@@ -74,7 +75,7 @@ def options_of(transform: RecipeTransform) -> dict[str, Any]:
         raise InputValueError(
             f"save_recipe: {error} A recipe cannot hold that; use transform.chain.save(path)."
         ) from error
-    if options.get("depth") is not None:
+    if options.get("depth") is not None and not isinstance(options["depth"], Distribution):
         options["depth"] = _depth_option(as_depth_source(options["depth"]))
     if isinstance(options.get("exposure_control"), ExposureControl):
         options["exposure_control"] = options["exposure_control"].config()
@@ -117,6 +118,8 @@ def _is_default(value: Any, default: Any) -> bool:
 
 def _plain(name: str, value: Any) -> Any:
     """A value as YAML holds it."""
+    if isinstance(value, Distribution):
+        return value.to_dict()
     if isinstance(value, Tensor):
         value = value.detach().tolist()
     if isinstance(value, np.generic):

@@ -7,6 +7,7 @@ A recipe holds ``format: torchweather-recipe/2``, ``title`` (in words), ``kind``
   radar; ``weather``: ``kind`` and the weather's fields (``parts`` for a mixture); ``sensor``: ``kind``, and a
   ``preset`` or the sensor's fields; fields beside a preset replace the preset's; ``options``: keyword arguments of the
   transform, of which a camera's ``depth`` is a number of metres, ``ground``, or ``auto`` (guessed from the picture);
+  what is not known may be ``{uniform: [low, high]}`` and the like, among options, effects and fields of the sensor;
   ``rgb``: true for a camera's RGB images, by ``AsBayer``; ``through_mosaic``: true for RGB images by way of the
   camera's mosaic.
 - ``multi_sensor``: one weather on several sensors, or one of several weathers. ``weather``: a weather, or ``choice``,

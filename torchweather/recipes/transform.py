@@ -14,6 +14,7 @@ from torchweather.camera.depth import AUTO, FlatGround
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.sensor import Camera
 from torchweather.compose.transform_spec import TRANSFORMS
+from torchweather.core.distributions import with_distributions
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, nearest_name
 from torchweather.core.schema import TEXT, Key, check_keys, check_value, field_keys, one_of, refuse_unknown
 from torchweather.lidar.sensor import Lidar
@@ -127,7 +128,8 @@ def checked_transform(values: Mapping[str, Any], path: Path, at: str = "") -> Tr
         TorchweatherError: with the file and the key.
     """
     transform = values["transform"]
-    options = current_names(values.get("options") or {}, f"{path}: {at}options")
+    given = current_names(values.get("options") or {}, f"{path}: {at}options")
+    options = {name: with_distributions(one, owner=f"{path}: {at}options.{name}") for name, one in given.items()}
     kind = TRANSFORMS[transform].sensor_class.kind
     check_keys(values["sensor"], sensor_keys(kind), str(path), f"{at}sensor")
     refuse_unknown(options, OPTIONS[kind], f"{at}options", str(path))

@@ -12,6 +12,7 @@ CHAIN = "torchweather.pipeline.chain"
 RGB_PLANES = "torchweather.camera.rgb_planes"
 WEATHER_DATASET = "torchweather.compose.weather_dataset"
 WEATHER = "torchweather.atmosphere.weather"
+TRANSFORM = "torchweather.pipeline.sensor_transform"
 
 MUTANTS = (
     Mutant(
@@ -53,6 +54,22 @@ MUTANTS = (
         "weights = self.weights or (1.0,)",
         "weights = (1.0,)",
         ("tests/core/test_distributions.py::test_shares_of_the_probability_become_values",),
+    ),
+    Mutant(
+        "nuisances_share_one_stream",
+        "each nuisance parameter has its own random stream",
+        TRANSFORM,
+        'f"nuisance.{name}").random()',
+        '"nuisance").random()',
+        ("tests/pipeline/test_nuisances.py::test_draws_follow_their_law_and_are_independent_of_each_other",),
+    ),
+    Mutant(
+        "world_of_each_sensor",
+        "sensors of a sample share the airlight that was drawn",
+        TRANSFORM,
+        'OF_THE_WORLD = ("airlight", ',
+        "OF_THE_WORLD = (",
+        ("tests/pipeline/test_nuisances.py::test_sensors_share_what_is_of_the_world_and_not_what_is_their_own",),
     ),
     Mutant(
         "chain_file_of_pickles",

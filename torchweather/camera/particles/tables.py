@@ -449,9 +449,11 @@ def particle_tables(
     rate_capacity: float,
     motion: ImageMotion | None = None,
 ) -> ParticleTables:
-    """The tables, from a cache that does not look at the rate; without motion, those of particles that fall straight
-    down the image."""
+    """The tables, from a cache that does not look at the rate or at what flakes do with light; without motion, those of
+    particles that fall straight down the image."""
     shape = replace(weather, rate_mm_per_h=0.0, wind_m_per_s=(0.0, 0.0, 0.0))
+    if isinstance(shape, Snow):
+        shape = replace(shape, albedo=Snow.albedo, flake_reflectivity=None, melt_fraction=0.0)
     moving = None if motion is None or motion.still else motion.rounded()
     limits = (near_m, far_m, min_listed_coverage, max_listed_density, rate_capacity)
     return _cached(shape, optics, focal_px, *limits, moving)
