@@ -146,7 +146,8 @@ def test_every_head_names_parameters_of_its_function() -> None:
             if not isinstance(head, ast.Constant):
                 continue
             names = re.findall(r"(\w+): ", head.value.partition("(")[2])
-            values = [ast.unparse(value).removeprefix("self.") for value in node.args[1:]]
+            # ``at`` holds the options of a transform without their distributions.
+            values = [ast.unparse(value).removeprefix("self.").removeprefix("at.") for value in node.args[1:]]
             assert len(names) == len(values), f"{file}: {head.value}"
             if set(names) & set(values):
                 assert names == values, f"{file}: {head.value}"
