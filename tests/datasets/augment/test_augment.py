@@ -90,6 +90,24 @@ def test_a_folder_keeps_its_tree_and_each_frame_has_one_weather(tmp_path: Path) 
     assert not torch.equal(read_image(target / "day/images/001.png")[0], image(1))
 
 
+def test_the_manifest_names_what_else_was_drawn(tmp_path: Path) -> None:
+    source, target = folder(tmp_path / "clear", 1), tmp_path / "foggy"
+    text = FOG.replace("intensity_unit", "near_full_m: {uniform: [5.0, 30.0]}, intensity_unit")
+    run(source, target, text, seed=5)
+    [row] = [row for row in rows(target).values() if row.weather]
+    assert row.weather is not None
+    weather = dict(row.weather)
+    [drawn] = weather.pop("nuisances").values()
+    assert 5.0 < drawn["sensor.near_full_m"] < 30.0
+    [spec] = torchweather.Compose({"points": load_recipe(recipe(tmp_path, text))}).specs.values()
+    points = spec.build(torchweather.atmosphere.weather.weather_from_dict(weather), drawn)
+    [file] = source.rglob("*.bin")
+    clear = read_points(file).points
+    seed = torchweather.core.random.derived_seed(row.seed, "points")
+    expected = points(clear, points.draw(clear, seed=seed))
+    assert torch.equal(read_points(target / file.relative_to(source)).points, expected)
+
+
 def test_labels_of_points_say_what_the_weather_did(tmp_path: Path) -> None:
     source, target = folder(tmp_path / "clear", 1), tmp_path / "foggy"
     run(source, target, FOG)

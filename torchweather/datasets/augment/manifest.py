@@ -57,7 +57,8 @@ class Row:
         recipe_sha256: of the recipe's text.
         seed: of the frame, 63 bits.
         version: of torchweather.
-        weather: what was drawn, plain values; ``None`` is clear air, or a copy.
+        weather: what was drawn, plain values, with ``nuisances`` by key and name where the recipe draws them; ``None``
+            is clear air, or a copy.
         boxes: for each box of the frame, what the weather left of it and how many particles lie in it.
         error: of a failed frame.
         notes: how sure its depth is, what the rows of its sweep are, and warnings about it, such as an intensity that

@@ -101,9 +101,12 @@ class Worker:
         weathered = [files[key] for key in sorted(results, key=lambda key: files[key].kind)]
         notes = [(one.file.key, one.note(results[one.file.key])) for one in weathered]
         boxes = [one.boxes(results[one.file.key]) for one in weathered]
+        drawn = draw.weather
+        if drawn is not None and draw.nuisances:
+            drawn = {**drawn, "nuisances": draw.to_dict()["nuisances"]}
         return replace(
             row,
-            weather=draw.weather,
+            weather=drawn,
             boxes=next((one for one in boxes if one is not None), None),
             notes=tuple(f"{key}: {note}" for key, note in notes if note),
         )
