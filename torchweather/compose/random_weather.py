@@ -51,8 +51,8 @@ class RandomWeather(nn.Module):
             picture to depth, or ``auto``: guessed from the picture. ``None`` is ``auto``, with a warning.
         seed: makes the weather of a picture a function of the seed and its pixels, in any worker and order; ``None``:
             from torch's global generator, which a ``DataLoader`` seeds per worker.
-        options: of `BayerWeather`: ``airlight``, ``ego_speed_m_per_s``, ``effects`` and others; distributions in them are
-            drawn for each picture: ``airlight=Uniform(0.3, 0.95)``.
+        options: of `BayerWeather`: ``airlight``, ``ego_speed_m_per_s``, ``effects`` and others. Distributions in them
+            are drawn for each picture: ``airlight=Uniform(0.3, 0.95)``.
 
     Note:
         Where the depth is known (a renderer, LiDAR, stereo), give it: it decides the result. Put the transform in front

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 from torch import Tensor
 
 from torchweather.core.arguments import check_arguments
-from torchweather.core.distributions import Distribution, distributions_in, with_distributions
+from torchweather.core.distributions import Distribution, with_distributions
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_one_of, nearest_name
 from torchweather.core.schema import ANY, check_keys, field_keys, one_of
 from torchweather.core.yaml_file import parse_yaml, read_yaml
@@ -47,7 +47,7 @@ class Sensor:
     @property
     def random(self) -> dict[str, Distribution]:
         """Fields that are drawn for each sample, by name."""
-        return distributions_in({field.name: getattr(self, field.name) for field in fields(self)})  # type: ignore[arg-type]
+        return {name: value for name, value in vars(self).items() if isinstance(value, Distribution)}
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """The same sensor with other values of fields that ``random`` names."""
