@@ -52,6 +52,7 @@ DAYLIGHT_ABOVE = 0.05  # linear luminance of a horizon sky by day; below, the sk
 # A picture's horizon is seen through kilometres of its own air: fog whose optical depth over this way is small adds the
 # light that is there already; fog that is opaque over it has its own.
 OWN_AIR_M = 5000.0
+BRIGHTEST_ROWS = 64  # an even number, of a band that stays in the cache
 NIGHT_BELOW = 0.02  # share of saturation: a sky darker than this is night
 
 
@@ -109,7 +110,7 @@ def estimate_airlight(
     """
     planes = state.receiver.cfa_index is None
     light, seen = _horizon_sky(state, STRIDES_PX)
-    if is_exporting() or not bool(seen.all()):
+    if is_exporting() or (not bool(seen.all()) and _any_sky(state)):
         # A sky may show between the thinned pixels only.
         every, seen_at_all = _horizon_sky(state, (1, 1) if planes else (2, 2))
         light, seen = torch.where(seen[:, None], light, every), seen | seen_at_all
@@ -204,11 +205,44 @@ def _neutral(light: Tensor) -> Tensor:
     return torch.where(luminance > DAYLIGHT_ABOVE, by_day, luminance).expand_as(light)
 
 
+def _any_sky(state: CameraState) -> bool:
+    if state.scene.sky is not None:
+        return bool(state.scene.sky.amax() > 0.5)
+    return bool(torch.isinf(state.scene.depth_m.amax()))
+
+
 def _brightest(state: CameraState) -> Tensor:
-    """Mean of the brightest 3 x 3 neighbourhood of each phase of the CFA, ``(B, 2, 2)``."""
-    planes = torch.cat([state.image.signal[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)], 1)
-    smooth = torch.nn.functional.avg_pool2d(planes, 3, stride=1, padding=1, count_include_pad=False)
-    return smooth.amax((-2, -1)).view(-1, 2, 2)
+    """Mean of the brightest 3 x 3 neighbourhood of each phase of the CFA, ``(B, 2, 2)``; at the edges of fewer."""
+    signal = state.image.signal
+    if is_exporting() or min(signal.shape[-2:]) < 8:
+        return _brightest_of(signal)
+    # Neighbours of one phase are two rows or columns apart, so that all phases add up together.
+    found = [_edge(_pooled(signal[..., :4, :])[..., 0, :]), _edge(_pooled(signal[..., -4:, :])[..., -1, :])]
+    found += [_edge(_pooled(signal[..., :4])[..., 0]), _edge(_pooled(signal[..., -4:])[..., -1])]
+    height = signal.shape[-2]
+    for first in range(0, height - 4, BRIGHTEST_ROWS):
+        band = signal[:, 0, first : min(first + BRIGHTEST_ROWS, height - 4) + 4]
+        down = band[:, :-4] + band[:, 2:-2] + band[:, 4:]
+        both = down[..., :-4] + down[..., 2:-2]
+        both = both + down[..., 4:]
+        columns = torch.stack([both[:, y::2].amax(1) for y in (0, 1)], 1)  # (B, 2, W - 4)
+        found.append(torch.stack([columns[..., x::2].amax(-1) for x in (0, 1)], -1) / 9)
+    return torch.stack(found).amax(0)
+
+
+def _pooled(signal: Tensor) -> Tensor:
+    """Means of the 3 x 3 neighbourhoods of each phase, ``(B, 4, H / 2, W / 2)``."""
+    planes = torch.cat([signal[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)], 1)
+    return torch.nn.functional.avg_pool2d(planes, 3, stride=1, padding=1, count_include_pad=False)
+
+
+def _edge(means: Tensor) -> Tensor:
+    """Brightest along an edge, ``(B, 4, n)`` to ``(B, 2, 2)``."""
+    return means.amax(-1).view(-1, 2, 2)
+
+
+def _brightest_of(signal: Tensor) -> Tensor:
+    return _pooled(signal).amax((-2, -1)).view(-1, 2, 2)
 
 
 def per_colour(cells: Tensor, state: CameraState) -> Tensor:

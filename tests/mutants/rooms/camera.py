@@ -129,6 +129,14 @@ MUTANTS = (
         ("tests/camera/particles/test_draws_at_rate.py::test_samples_at_rate_0_stay_as_they_are_beside_others",),
     ),
     Mutant(
+        "brightest_spot_without_the_edges",
+        "the brightest neighbourhood may lie at an edge",
+        "torchweather.camera.airlight",
+        "    return torch.stack(found).amax(0)",
+        "    return torch.stack(found[4:]).amax(0)",
+        ("tests/camera/test_brightest.py::test_it_is_that_of_the_pooled_phases",),
+    ),
+    Mutant(
         "bytes_of_light_rounded_down",
         "a level begins half a step below it",
         "torchweather.camera.srgb_bytes",
