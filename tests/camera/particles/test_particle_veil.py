@@ -274,7 +274,9 @@ def test_driving_makes_streaks_radial() -> None:
     speed = part.weather.fall_speed_m_per_s((marks.width_px * marks.depth_m / F_PX * 1e3).double())
     scale = F_PX * 0.005 / marks.depth_m
     assert torch.allclose(marks.motion_u_px, x * 40.0 * scale, rtol=1e-3, atol=1e-4)
-    assert torch.allclose(marks.motion_v_px.double(), (speed + y * 40.0) * scale, rtol=1e-2, atol=1e-2)
+    # 1 % of the fall speed, which the tables give; the vehicle's motion may take away nearly all of it.
+    off = (marks.motion_v_px.double() - (speed + y * 40.0) * scale).abs()
+    assert bool((off <= 1e-2 * speed * scale + 1e-2).all())
 
 
 def test_pitch_changes_the_apparent_fall() -> None:
