@@ -15,6 +15,7 @@ import torchweather as tw
 from torchweather.camera.particles import compiled
 from torchweather.camera.particles.optical_depth import haze_depth, listed_depth
 from torchweather.camera.particles.population import Population
+from torchweather.camera.srgb_bytes import bytes_of_light, light_of_bytes
 from torchweather.camera.state import CameraState
 from torchweather.core import compiled as switch
 from torchweather.core.exceptions import InputValueError
@@ -302,3 +303,15 @@ def test_exp_and_ln_are_those_of_double_precision() -> None:
         y = np.float32(np.exp(x))
         assert compiled_haze._log_sum(np.float32(0), y) == pytest.approx(np.log(np.float64(y)), abs=1e-6, rel=3e-7)
         assert compiled_haze._log_sum(np.float32(1), y) == pytest.approx(np.log1p(np.float64(y)), rel=3e-7)
+
+
+def test_bytes_are_decoded_and_encoded_to_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    levels = torch.randint(0, 256, (3, 70, 900), generator=torch.Generator().manual_seed(3), dtype=torch.uint8)
+    edges = torch.tensor([-1.0, 0.0, 1.0, 7.0, float("inf"), -float("inf")])
+    light = torch.cat([torch.linspace(-0.1, 1.1, 100_001), light_of_bytes(levels).flatten(), edges])
+    for fast, slow in (
+        both(monkeypatch, lambda: light_of_bytes(levels)),
+        both(monkeypatch, lambda: bytes_of_light(light)),
+        both(monkeypatch, lambda: bytes_of_light(light.view(-1, 1)[::3])),
+    ):
+        assert torch.equal(fast, slow)
