@@ -19,6 +19,7 @@ from functools import lru_cache
 
 import numpy as np
 import torch
+from scipy.integrate import trapezoid
 from scipy.optimize import nnls
 from scipy.special import itj0y0
 from torch import Tensor
@@ -135,5 +136,5 @@ def _of_phase_function(per_sr: Callable[[Tensor], Tensor]) -> ForwardScattering:
     power = 2.0 * np.pi * np.sin(angle) * per_sr(torch.from_numpy(angle)).numpy()
     turns = 2.0 * np.pi * FREQUENCIES_PER_RAD[:, None] * np.maximum(angle, 1e-12)
     mean_bessel = itj0y0(turns)[0] / turns  # int_0^1 J0(turns u) du: the scattering may be anywhere on the path
-    transform = np.trapezoid(power * mean_bessel, angle, axis=-1)
-    return ForwardScattering(tuple(transform.tolist()), float(np.trapezoid(power, angle)))
+    transform = trapezoid(power * mean_bessel, angle, axis=-1)
+    return ForwardScattering(tuple(transform.tolist()), float(trapezoid(power, angle)))

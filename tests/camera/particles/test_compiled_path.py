@@ -279,6 +279,14 @@ def test_machine_code_that_cannot_be_kept_is_compiled_anew(monkeypatch: pytest.M
     assert kept == [True, False]
 
 
+def test_points_of_a_lower_rate_are_refused() -> None:
+    camera = camera_of()
+    frame, depth = torch.full((1, camera.height, camera.width), 0.2), depth_of(camera, FAR)
+    noise = transform_of(tw.Rain(1), camera).draw(frame, seed=4, at_rate=True)
+    with pytest.raises(InputValueError, match="was drawn for a lower rate"):
+        transform_of(FALLEN, camera)(frame, depth, noise)
+
+
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e30])
 def test_noise_out_of_its_range_writes_to_no_other_place(value: float) -> None:
     camera = camera_of()

@@ -167,16 +167,17 @@ def _shells(
     fog = 0.0 if fog_per_m is None else float(_of(_array(fog_per_m), sample))
     shells = []
     for number in range(len(t.listed)):
-        points = _array(noise[f"{p.weather.kind}_shell_{number}"])[sample]
+        drawn = noise[f"{p.weather.kind}_shell_{number}"][sample]
         log_footprint = t.listed[number].log_footprint
         footprint = np.exp(log_footprint).astype(np.float32)
         most = t.log_at(t.tail_most, log_footprint).astype(np.float32)
         bound = bounds[number]
         # No level above this one is there at any depth.
         limit = min(math.exp(min(float((bound - most).max()) - thinning, 50.0)) * (1 + 1e-4), ABSENT)
+        p.check_reach(drawn, number, limit, state.sizes)
         reach = p.reach_px(number)
         nodes = Nodes(*reach, p.near_m, far_m, t.log_level_low, t.log_level_step, thinning, limit)
-        ordered, begins = in_bands(points, limit, reach[0], width, band_columns)
+        ordered, begins = in_bands(_array(drawn), limit, reach[0], width, band_columns)
         shells.append(_Shell(ordered, begins, footprint, most, bound, outline, speed, nodes, lens, motion, fog))
     return shells
 

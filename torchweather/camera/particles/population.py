@@ -386,7 +386,7 @@ class Population(nn.Module):
         kept = []
         for number in shells:
             points = noise[f"{self.weather.kind}_shell_{number}"][row].to(device)
-            self._check_reach(points, number, highest[number], state.sizes)
+            self.check_reach(points, number, highest[number], state.sizes)
             # Of a slot that is not used, the level is ABSENT. Displaced copies go on where these levels end.
             low = points[:, COLUMN_LEVEL] < min(highest[number], 0.5 * (1.0 + ABSENT))
             count = int(low.sum())
@@ -403,7 +403,7 @@ class Population(nn.Module):
             for start in range(0, len(every), POINTS_AT_ONCE)
         ]
 
-    def _check_reach(self, points: Tensor, number: int, highest: float, sizes: Mapping[str, int]) -> None:
+    def check_reach(self, points: Tensor, number: int, highest: float, sizes: Mapping[str, int]) -> None:
         """Raise where points that were drawn for a lower rate do not reach the levels of this one."""
         slots = self.variates()[number].sample_shape(sizes)[0]
         if len(points) < slots and (not len(points) or float(points[-1, COLUMN_LEVEL]) < min(highest, 1.0)):
