@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 def correlation_lines(summary: dict[str, Any]) -> list[str]:
     """The numbers as text."""
-    from torchweather.explain import aligned
+    from torchweather.core.text import aligned
 
     rows = [["rank", "metric", "rho", "95 %", "tau", "r", "given level", "error", "by level", "D3.4 says", "found"]]
     claims = {each["metric"]: each for each in summary["d34_claim"]["metrics"]}

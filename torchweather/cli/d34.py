@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
 def table13(*, as_json: bool) -> int:
     """Extinction of fog per colour."""
     from torchweather.cli.output import print_json, print_lines
-    from torchweather.explain import aligned
+    from torchweather.core.text import aligned
     from torchweather.physics import table13
 
     rows = [asdict(row) for row in table13()]
@@ -46,7 +46,7 @@ def table13(*, as_json: bool) -> int:
 def trends(*, as_json: bool) -> int:
     """Expected trends per scene, and the contradictions of the appendix."""
     from torchweather.cli.output import print_json, print_lines
-    from torchweather.explain import aligned
+    from torchweather.core.text import aligned
     from torchweather.metrics.d34 import inconsistencies, trend_cells
 
     cells = trend_cells()

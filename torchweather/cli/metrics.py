@@ -177,7 +177,7 @@ def _rows(pairs: Sequence[tuple[Path, Path]], scores: Scores, *, quiet: bool) ->
 
 def _print_one(row: Row, scores: Scores, args: argparse.Namespace) -> None:
     from torchweather.cli.output import print_json, print_lines, spelled
-    from torchweather.explain import aligned
+    from torchweather.core.text import aligned
 
     if args.json:
         print_json(spelled(row))
@@ -192,7 +192,7 @@ def _print_all(
     rows: list[Row], mean: dict[str, float], unmatched: dict[str, list[str]], scores: Scores, args: argparse.Namespace
 ) -> None:
     from torchweather.cli.output import print_json, print_lines, spelled
-    from torchweather.explain import aligned
+    from torchweather.core.text import aligned
 
     if args.json:
         print_json(spelled({"files": rows, "mean": mean, "unmatched": unmatched}))

@@ -150,7 +150,7 @@ def run(args: argparse.Namespace) -> int:
 
 def robustness_lines(summary: dict[str, Any]) -> list[str]:
     """The numbers as text."""
-    from torchweather.explain import aligned
+    from torchweather.core.text import aligned
 
     weathers: dict[str, list[dict[str, Any]]] = {}
     for each in summary["conditions"]:

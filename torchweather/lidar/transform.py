@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -18,6 +19,7 @@ from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import Distribution
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.core.precision import outside_autocast
+from torchweather.core.threads import one_thread_an_operation
 from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
 from torchweather.lidar.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
 from torchweather.lidar.clouds import check_points
@@ -348,10 +350,11 @@ class LidarWeather(WeatherTransform):
                 return self.each_alone(self.forward, points, seed, generator, beside, 2)
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.forward(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
-        beams, state = self._begin(points, directions, reach_m)
-        state = _own_vehicle_restored(self._through(state, noise, points.shape[:-2], beams.first_row), beams)
-        assert state.returns.points is not None
-        return self._outgoing(state.returns.points, state.returns.kind[..., 0], points, beams)
+        with _few_threads(points):
+            beams, state = self._begin(points, directions, reach_m)
+            state = _own_vehicle_restored(self._through(state, noise, points.shape[:-2], beams.first_row), beams)
+            assert state.returns.points is not None
+            return self._outgoing(state.returns.points, state.returns.kind[..., 0], points, beams)
 
     if TYPE_CHECKING:
         __call__ = forward
@@ -376,6 +379,13 @@ class LidarWeather(WeatherTransform):
                 return self.each_alone(self.run, points, seed, generator, beside, 2)
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
             return chosen.run(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
+        with _few_threads(points):
+            return self._run(points, noise, directions, reach_m)
+
+    def _run(
+        self, points: Tensor, noise: Mapping[str, Tensor] | None, directions: Tensor | None, reach_m: Tensor | None
+    ) -> LidarResult:
+        """`run` with noise that is drawn, or to be drawn by the chain."""
         beams, before = self._begin(points, directions, reach_m)
         state = _own_vehicle_restored(self._through(before, noise, points.shape[:-2], beams.first_row), beams)
         assert state.returns.points is not None
@@ -660,6 +670,12 @@ class LidarWeather(WeatherTransform):
             return values.reshape(*batch, *values.shape[1:])
         kept = [value[there] for value, there in zip(values, kind != PointKind.LOST, strict=True)]
         return kept if batch else kept[0]
+
+
+def _few_threads(points: Tensor) -> AbstractContextManager[None]:
+    """One thread an operation for a cloud on the CPU whose arrays fit the cache: more of them wait for each other."""
+    small = points.device.type == "cpu" and points.numel() <= 4 * BEAMS_AT_ONCE
+    return one_thread_an_operation() if small and not is_exporting() else nullcontext()
 
 
 def _with_packed_flakes(parts: Sequence[Weather]) -> tuple[Weather, ...]:

@@ -184,8 +184,7 @@ class Sensor:
 def _plain(value: Any) -> Any:
     """Tuples and tensors as lists, distributions as mappings."""
     if isinstance(value, tuple):
-        nested = any(isinstance(item, (tuple, Tensor)) for item in value)
-        return [_plain(item) for item in value] if nested else [*value]
+        return [_plain(item) for item in value] if value and isinstance(value[0], (tuple, Tensor)) else [*value]
     if isinstance(value, Distribution):
         return value.to_dict()
     return value.tolist() if isinstance(value, Tensor) else value

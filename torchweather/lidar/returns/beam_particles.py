@@ -9,7 +9,10 @@ diameter whose particle returns e with the others of its pulse, and N_> the numb
 
 from __future__ import annotations
 
+import copy
 import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from torch import Tensor, nn
@@ -19,7 +22,7 @@ from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.core.errors import InputValueError, check_one_of, check_positive
 from torchweather.core.random import Variate
 from torchweather.lidar.beam import Beam, RangeGrid
-from torchweather.lidar.returns.strongest import expected_number, last_below
+from torchweather.lidar.returns.strongest import NOTHING, expected_number, last_below
 from torchweather.lidar.sensor import Lidar
 from torchweather.physics import (
     InterpolationTable,
@@ -50,6 +53,39 @@ PUBLISHED_START = 0.1
 PUBLISHED_SEEN_M_PER_M = 0.584e-3
 
 
+@dataclass(frozen=True)
+class _Counted:
+    """Particles of a weather by their outline: its diameters, and N_> over ln(diameter) as a function of the rate."""
+
+    smallest_m: float
+    largest_m: float
+    tail: InterpolationTable
+
+
+@lru_cache(maxsize=64)
+@torch.inference_mode(False)  # for a call with gradients, too
+def _counted(weather: Rain | Snow, published: bool) -> _Counted:
+    """Counted particles of a weather, whose own rate counts for nothing."""
+    some = weather.distribution(torch.tensor([RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H]))
+    counted_low = max(some.diameter_min_mm, SMALLEST_MM)
+    counted_high = min(some.diameter_max_mm, some.span_mm()[1])
+    if published:
+        counted_low, counted_high = PUBLISHED_DOMAIN_MM
+    ends = weather.physical_diameter_mm(torch.tensor([counted_low, counted_high], dtype=torch.float64))
+    smallest_m, largest_m = (float(end) * 1e-3 for end in ends)
+    steps = torch.arange(DIAMETER_NODES, dtype=torch.float64) / (DIAMETER_NODES - 1)
+    outline = 1e3 * smallest_m * torch.exp(steps * math.log(largest_m / smallest_m))
+    counted = melted_diameter_mm(outline) if weather.particle == "melted-flake" else outline
+
+    def tail(rate: Tensor) -> Tensor:
+        distribution = weather.distribution(rate)
+        whole = distribution.tail_per_m3(counted)
+        return (whole - distribution.tail_per_m3(counted[-1:])).clamp_min(0.0) + FEW_PER_M3
+
+    table = InterpolationTable(tail, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
+    return _Counted(smallest_m, largest_m, table)
+
+
 class BeamParticles(nn.Module):
     """Rain drops or snow flakes in a LiDAR's beams; used by ``ParticleReturns``.
 
@@ -76,29 +112,11 @@ class BeamParticles(nn.Module):
         self.register_buffer("rate_mm_per_h", torch.as_tensor(weather.rate_mm_per_h, dtype=torch.float32))
         self.register_buffer("q_back", torch.tensor(_q_back(weather, sensor, q_back), dtype=torch.float32))
         self.pulse_length_m = 0.0 if published else sensor.pulse_length_m
-        self._set_tails()
+        counted = _counted(replace(weather, rate_mm_per_h=0.0), published)
+        self.smallest_m, self.largest_m = counted.smallest_m, counted.largest_m
+        self.tail = copy.deepcopy(counted.tail)
         self._set_signals(sensor)
         self.echoes = 1 if sensor.return_mode == "strongest" else self._echoes(Beam(sensor))
-
-    def _set_tails(self) -> None:
-        """N_> over ln(outline's diameter), as a function of the rate."""
-        some = self.weather.distribution(torch.tensor([RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H]))
-        counted_low = max(some.diameter_min_mm, SMALLEST_MM)
-        counted_high = min(some.diameter_max_mm, some.span_mm()[1])
-        if self.published:
-            counted_low, counted_high = PUBLISHED_DOMAIN_MM
-        ends = self.weather.physical_diameter_mm(torch.tensor([counted_low, counted_high], dtype=torch.float64))
-        self.smallest_m, self.largest_m = (float(end) * 1e-3 for end in ends)
-        steps = torch.arange(DIAMETER_NODES, dtype=torch.float64) / (DIAMETER_NODES - 1)
-        outline = 1e3 * self.smallest_m * torch.exp(steps * math.log(self.largest_m / self.smallest_m))
-        counted = melted_diameter_mm(outline) if self.weather.particle == "melted-flake" else outline
-
-        def tail(rate: Tensor) -> Tensor:
-            distribution = self.weather.distribution(rate)
-            whole = distribution.tail_per_m3(counted)
-            return (whole - distribution.tail_per_m3(counted[-1:])).clamp_min(0.0) + FEW_PER_M3
-
-        self.tail = InterpolationTable(tail, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)
 
     def _set_signals(self, sensor: Lidar) -> None:
         """Nodes of the signal, uniform in its logarithm, from far below the threshold to the brightest particle."""
@@ -144,9 +162,26 @@ class BeamParticles(nn.Module):
             air: patches along each of the B beams; ``None`` is the same everywhere.
             sizes: ``(B, knots)`` number of particles at ``SIZE_KNOTS_MM`` over that of the rate; ``None`` is 1.
         """
+        per_m = self._per_m(beam, extinction_per_m, torch.arange(SIGNAL_NODES), density_scale, air, sizes)
+        next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
+        return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))
+
+    def _per_m(
+        self,
+        beam: Beam,
+        extinction_per_m: Tensor,
+        nodes: Tensor,
+        density_scale: Tensor | None = None,
+        air: BanksAlongBeams | None = None,
+        sizes: Tensor | None = None,
+    ) -> Tensor:
+        """Expected number of particles a metre above some nodes of the signal, ``(B, nodes, cells, G)``.
+
+        Arguments as of ``between``.
+        """
         batch = extinction_per_m.shape[0]
         full, diameter_m, area_m2 = self._seen(beam, extinction_per_m, air)
-        signal = torch.exp(self.log_low + self.log_step * torch.arange(SIGNAL_NODES, device=full.device))
+        signal = torch.exp(self.log_low + self.log_step * nodes.to(full.device))
         ratio = signal[:, None, None] / full.clamp_min(1e-30)[:, None]  # (B, E, cells, G): share of the full beam
         tails = self._tails(batch)
         if sizes is not None:
@@ -161,8 +196,7 @@ class BeamParticles(nn.Module):
         per_m = torch.where(seen, per_m3.reshape(ratio.shape), torch.zeros_like(ratio)) * area_m2[:, None]
         if density is not None:
             per_m = per_m * density[:, None]
-        next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
-        return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))
+        return per_m
 
     def _needed(self, ratio: Tensor, beam_m: Tensor, tails: Tensor, density: Tensor | None) -> tuple[Tensor, Tensor]:
         """Place on the nodes of the diameter from which on a particle returns a share of the full beam's signal.
@@ -318,10 +352,13 @@ class BeamParticles(nn.Module):
     def _echoes(self, beam: Beam) -> int:
         """How many particles a beam needs so that more are above threshold with a probability below ``SHARE_MORE``."""
         with torch.no_grad():
-            rate = self.rate_mm_per_h.reshape(-1)
-            clear = torch.zeros(rate.numel())
-            reach = torch.full((rate.numel(), 1), self.grid.far_m)
-            mean = float(self.expected_above(beam, beam.threshold.expand_as(reach), clear, reach).max())
+            # `expected_above` at the threshold and the farthest range, from the two nodes of the signal beside it.
+            row = ((torch.log(beam.threshold) - self.log_low) / self.log_step).clamp(0.0, SIGNAL_NODES - 1)
+            node = row.floor().clamp_max(SIGNAL_NODES - 2)
+            clear = torch.zeros(self.rate_mm_per_h.numel())
+            per_m = self._per_m(beam, clear, torch.stack([node, node + 1.0]))
+            logs = ((per_m * self.grid.quadrature_width_m).sum((-2, -1)) + NOTHING).log()
+            mean = float((torch.lerp(logs[:, 0], logs[:, 1], row - node).exp() - NOTHING).max())
         term = share = math.exp(-mean)
         for number in range(1, MOST_PARTICLES):
             if 1.0 - share < SHARE_MORE:

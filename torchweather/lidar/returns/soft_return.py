@@ -34,6 +34,7 @@ References:
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -66,6 +67,9 @@ NO_PHOTONS = 1e-20
 SLOPE_SQUARE = math.pi**2 / 3.0
 # Weight of "where the waveform rises" among the places, for a reach so short that its noise decides nothing.
 RISING = 1e-3
+# Largest value of a fog's waveform, by fog without its visibility, sensor, backscatter and receiver.
+_MOST: dict[tuple[Fog, Lidar, str, str], float] = {}
+KEPT = 64
 
 
 @lru_cache(maxsize=8)
@@ -128,20 +132,29 @@ class SoftReturn(nn.Module):
 
     def _set_readings(self, sensor: Lidar) -> None:
         """Nodes of the reading, uniform in its square root, which has the same photon noise everywhere."""
-        with torch.no_grad():
-            low, high = mor_range_m(self.weather)
-            mor_m = torch.logspace(math.log10(low), math.log10(high), 32)
-            beam = Beam(sensor)
-            # Extinction at its least, the geometric optics of Koschmieder's law.
-            most = self._waveform(beam, mor_m, 2.9 / mor_m, self.grid.quadrature_m)[0].max() / beam.threshold
         photons = sensor.photons_at_threshold
-        brightest = float(most) * photons
+        brightest = self._most(sensor) * photons
         self.root_low = math.sqrt(FEWEST_PHOTONS * photons)
         self.root_high = max(math.sqrt(brightest) + 3.0, 2.0 * math.sqrt(photons) + 3.0)
         self.root_step = (self.root_high - self.root_low) / (COUNT_NODES - 1)
         never, mills = _count_tables((self.root_low, self.root_high))
         self.register_buffer("never_table", never, persistent=False)
         self.register_buffer("mills_table", mills, persistent=False)
+
+    def _most(self, sensor: Lidar) -> float:
+        """Largest expected value of any visibility over the threshold."""
+        known = (replace(self.weather, mor_m=math.inf), sensor, self.backscatter, self.receiver)
+        if known not in _MOST:
+            with torch.no_grad():
+                low, high = mor_range_m(self.weather)
+                mor_m = torch.logspace(math.log10(low), math.log10(high), 32)
+                beam = Beam(sensor)
+                # Extinction at its least, the geometric optics of Koschmieder's law.
+                most = self._waveform(beam, mor_m, 2.9 / mor_m, self.grid.quadrature_m)[0].max() / beam.threshold
+            if len(_MOST) >= KEPT:
+                _MOST.clear()
+            _MOST[known] = float(most)
+        return _MOST[known]
 
     def backscatter_per_m_sr(self, mor_m: Tensor) -> Tensor:
         """beta, 1/(m sr), of the shape of ``mor_m``."""
