@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from torchweather.atmosphere.conditions import RoadSpray, SnowCover, WetRoad, WetWindow
     from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
     from torchweather.camera.night.lamps import Lamp, Night
+    from torchweather.camera.particles.bank import DrawBank
     from torchweather.camera.rgb import AsBayer
     from torchweather.camera.sensor import Camera
     from torchweather.camera.transform import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
@@ -33,6 +34,7 @@ __all__ = [
     "CameraResult",
     "Choice",
     "Compose",
+    "DrawBank",
     "Fog",
     "Lamp",
     "Lidar",
@@ -79,6 +81,7 @@ _HOMES = {
         "BayerSnow",
         "BayerWeather",
         "CameraResult",
+        "DrawBank",
         "LidarFog",
         "LidarRain",
         "LidarResult",

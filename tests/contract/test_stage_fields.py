@@ -61,6 +61,18 @@ def cameras() -> None:
     assert ran_with_truth.particle_mask is not None
 
 
+def banks() -> None:
+    """Rain and snow of training quality before a sky in part of the pixels, with and without their own vehicle."""
+    depth_m = torch.full((1, H, W), 30.0)
+    depth_m[:, : H // 2] = math.inf
+    share = torch.linspace(0.0, 1.0, W).expand(1, H, W)
+    camera = replace(CAMERA, pitch_rad=0.0)
+    for scene in (SceneDepth(depth_m, sky=share, near_mask=share.flip(-1)), depth_m):
+        chain = BayerWeather(Mixture(Rain(30.0), Snow(1.0)), camera, airlight="sky", quality="training")
+        ran(chain, frame(2), depth=scene)
+        assert chain.run(frame(2), scene, chain.draw(frame(2), seed=3)).particle_mask.any()
+
+
 def lidars() -> None:
     """Fog, rain and snow with gusts, and every curve that measurements add."""
     for unit in (LIDAR.intensity_unit, "none"):
@@ -129,7 +141,7 @@ def trace() -> Trace:
                 case()
         for entry in TABLE.values():
             ran(entry.built(), entry.data(2), **entry.beside(2))
-        for more in (cameras, lidars, radars, conditions):
+        for more in (cameras, banks, lidars, radars, conditions):
             more()
     return trace
 

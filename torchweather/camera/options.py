@@ -36,8 +36,9 @@ class CameraOptions(TransformOptions):
     drop_radiance: str = "frame"
     rate_capacity_mm_per_h: float | None = None
     variant: str | None = None
+    quality: Any = "exact"
 
     fixed: ClassVar[tuple[str, ...]] = (
         *("p", "near_m", "far_m"),
-        *("min_listed_coverage", "max_listed_density", "rate_capacity_mm_per_h"),
+        *("min_listed_coverage", "max_listed_density", "rate_capacity_mm_per_h", "quality"),
     )

@@ -11,8 +11,10 @@ import torch
 from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Weather
+from torchweather.camera.bank_pass import in_training_weather
 from torchweather.camera.demosaic import METHODS
 from torchweather.camera.depth import EXACT, DepthMap, SceneDepth, check_depth
+from torchweather.camera.particles.bank_veil import EXACT_QUALITY
 from torchweather.camera.rgb_planes import check_rgb, check_rgb_values, encoded_planes, linear_planes
 from torchweather.camera.state import CameraState
 from torchweather.camera.through_mosaic import (
@@ -144,7 +146,12 @@ class AsBayer(nn.Module):
         """
         if not isinstance(rgb, Tensor) or rgb.ndim < 3:
             check_rgb(rgb, "AsBayer")  # refuses it
-        if self.transform.must_draw(noise, seed, generator):
+        must_draw = self.transform.must_draw(noise, seed, generator)
+        if self.transform.quality != EXACT_QUALITY:
+            found = self.in_training_weather(rgb, depth, noise, seed, generator)
+            if found is not None:
+                return found
+        if must_draw:
             if self.transform.draws_alone and rgb.ndim > 3 and rgb.numel():
                 return self.transform.each_alone(self.forward, rgb, seed, generator, {"depth": depth}, 3)
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
@@ -158,6 +165,29 @@ class AsBayer(nn.Module):
 
     if TYPE_CHECKING:
         __call__ = forward
+
+    def in_training_weather(
+        self,
+        rgb: Tensor,
+        depth: Tensor | SceneDepth | None,
+        noise: Mapping[str, Tensor] | None = None,
+        seed: int | Tensor | None = None,
+        generator: torch.Generator | None = None,
+        rates_mm_per_h: Sequence[float] | None = None,
+        airlight: Any = None,
+    ) -> Tensor | None:
+        """The image in weather of training quality by look-ups alone; ``None`` where that takes more.
+
+        Args:
+            rgb, depth, noise, seed, generator: as of ``forward``.
+            rates_mm_per_h: of each image, in place of the transform's own.
+            airlight: likewise; ``None`` is the transform's.
+        """
+        if self.through_mosaic:
+            return None
+        self._check(rgb)
+        inner = self._inner(*rgb.shape[-2:])
+        return in_training_weather(inner, rgb, depth, noise, seed, generator, rates_mm_per_h, airlight)
 
     def with_weather(self, weather: Weather) -> AsBayer:
         """The same for another weather; tables that both need are shared."""

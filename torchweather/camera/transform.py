@@ -25,6 +25,8 @@ from torchweather.camera.night.lamps import Night, as_night
 from torchweather.camera.night.stages import LampVeil, NightLamps, OwnLight
 from torchweather.camera.options import RENAMED, CameraOptions
 from torchweather.camera.overcast_sky import OvercastSky
+from torchweather.camera.particles.bank import DrawBank
+from torchweather.camera.particles.bank_veil import EXACT_QUALITY, BankVeil, checked_quality
 from torchweather.camera.particles.veil import ParticleVeil
 from torchweather.camera.rays import Rays, rays_of
 from torchweather.camera.sensor import Camera
@@ -101,6 +103,8 @@ class BayerWeather(WeatherTransform):
         drop_radiance: what a drop shows: the mean of the ``frame`` or of its ``upper`` three fifths.
         rate_capacity_mm_per_h: highest rate that one draw serves.
         variant: ``d3_4`` computes what the deliverable published (``PHYSICS.md`` 8) where that differs.
+        quality: ``exact``, or ``training``: rain and snow are composed from a `DrawBank` of rendered storms, at a
+            fraction of the time and with the same statistics; or the bank itself. Fog has one quality.
         effects: of ``stages.EFFECTS`` for cameras, or their dictionaries; each goes to its place in the chain.
         p: probability that a sample gets the weather; the others come back as they are.
 
@@ -148,6 +152,7 @@ class BayerWeather(WeatherTransform):
         drop_radiance: str | Distribution = "frame",
         rate_capacity_mm_per_h: float | None = None,
         variant: str | None = None,
+        quality: str | DrawBank = EXACT_QUALITY,
         effects: Sequence[Effect | Mapping[str, Any]] = (),
         p: float = 1.0,
     ) -> None:
@@ -169,6 +174,7 @@ class BayerWeather(WeatherTransform):
             "drop_radiance": drop_radiance,
             "rate_capacity_mm_per_h": rate_capacity_mm_per_h,
             "variant": variant,
+            "quality": quality,
             "effects": effects,
             "p": p,
         }
@@ -193,6 +199,7 @@ class BayerWeather(WeatherTransform):
             at.variant,
             at.p,
         )
+        self.quality = checked_quality(at.quality, "BayerWeather")
         weather = self._check_weather(weather)
         self._check_p(at.p)
         Camera.check(camera, "camera", "lucid-triton", owner=self)
@@ -218,7 +225,8 @@ class BayerWeather(WeatherTransform):
                 fogs[0], tuple(camera.bands.values()), light, at.extinction, at.variant, at.scattering
             )
         if falling:
-            stages["particle_veil"] = ParticleVeil(
+            kind = ParticleVeil if quality == EXACT_QUALITY else BankVeil.of(self.weather, self.nuisances, quality)
+            stages["particle_veil"] = kind(
                 falling,
                 camera,
                 near_m=at.near_m,
@@ -263,7 +271,8 @@ class BayerWeather(WeatherTransform):
 
     def extra_repr(self) -> str:
         """The weather and the camera."""
-        return f"{self.weather!r}, {self.camera!r}"
+        training = "" if self.quality == EXACT_QUALITY else ", quality='training'"
+        return f"{self.weather!r}, {self.camera!r}{training}"
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_rays": {}}
@@ -552,6 +561,12 @@ class BayerWeather(WeatherTransform):
             keep_truth: compute transmission and particle mask as well.
         """
         self.refuse_undrawn(torch.Size(batch))
+        return self.scene_state(linear, scene, batch, keep_truth=keep_truth)
+
+    def scene_state(
+        self, linear: Tensor, scene: SceneDepth, batch: Sequence[int], *, keep_truth: bool = False
+    ) -> CameraState:
+        """As `planes_state`, of a weather that may have yet to be drawn."""
         rays = self._rays_for(linear, scene.horizon_row)
 
         def flat(name: str) -> Tensor | None:

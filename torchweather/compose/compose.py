@@ -15,7 +15,9 @@ from torch import Tensor, nn
 
 from torchweather.atmosphere.weather import Weather, weather_from_dict
 from torchweather.camera.depth import SceneDepth
+from torchweather.camera.particles.bank import DrawBank
 from torchweather.compose.samples import as_tensor, data_of, like, like_batch, shared
+from torchweather.compose.training_quality import prepared_banks, weather_at_any_rate, with_any_airlight
 from torchweather.compose.transform_spec import TransformSpec, spec_of
 from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import Choice
@@ -38,6 +40,7 @@ class Draw:
         weather: plain values, as ``weather_from_dict`` takes them; ``None`` is clear air: the sample stays as it is.
         nuisances: key of the sample to the values that its transform drew beside the weather, by name:
             ``{"image": {"airlight": 0.7, "effects.camera.exposure_gain.factor": 1.1}}``.
+        quality: ``training`` where particles come from a bank (`DrawBank`); ``None`` is exact.
 
     Example:
         >>> Draw.from_dict(json.loads(json.dumps(Draw(7, {"kind": "rain", "rate_mm_per_h": 25.0}).to_dict()))).seed
@@ -47,22 +50,24 @@ class Draw:
     seed: int
     weather: Mapping[str, Any] | None
     nuisances: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    quality: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; ``nuisances`` where there are any."""
+        """Plain values, for JSON; ``nuisances`` and ``quality`` where there are any."""
         values: dict[str, Any] = {"seed": self.seed, "weather": None if self.weather is None else dict(self.weather)}
         if self.nuisances:
             values["nuisances"] = {key: dict(one) for key, one in self.nuisances.items()}
-        return values
+        return values if self.quality is None else {**values, "quality": self.quality}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Draw:
         """The inverse of ``to_dict``."""
-        if set(values) - {"nuisances"} != {"seed", "weather"}:
+        if set(values) - {"nuisances", "quality"} != {"seed", "weather"}:
             raise InputValueError(
-                f"Draw: wanted seed and weather, perhaps nuisances; got {', '.join(map(str, values)) or 'nothing'}."
+                "Draw: wanted seed and weather, perhaps nuisances and quality; got "
+                f"{', '.join(map(str, values)) or 'nothing'}."
             )
-        return cls(int(values["seed"]), values["weather"], values.get("nuisances", {}))
+        return cls(int(values["seed"]), values["weather"], values.get("nuisances", {}), values.get("quality"))
 
 
 class Compose(nn.Module):
@@ -165,10 +170,14 @@ class Compose(nn.Module):
             raise InputValueError(f"Compose: history={history!r} is the key of something else; give it one of its own.")
         self._epoch = shared(torch.zeros((), dtype=torch.int64))
         self._built: OrderedDict[tuple[str, str, str], Any] = OrderedDict()
+        self._banks: list[DrawBank] = []  # of training quality, handed to workers with this
+        self.quality = (
+            "training" if any(spec.options.get("quality", "exact") != "exact" for spec in self.specs.values()) else None
+        )
         for one in self.weather.values:  # so that what does not go together is said here, and tables are made once
             for spec in self.specs.values():
                 if one is not None:
-                    spec.build(one, draw_nuisances(spec.nuisances, 0))
+                    self._banks += prepared_banks(spec.build(one.densest(), draw_nuisances(spec.nuisances, 0)), one)
 
     @property
     def plans(self) -> dict[str, TransformSpec[Any]]:
@@ -180,7 +189,8 @@ class Compose(nn.Module):
     def extra_repr(self) -> str:
         """What is done to which key."""
         inside = ", ".join(f"{key!r}: {spec.kind.__name__}" for key, spec in self.specs.items())
-        return f"{{{inside}}}, weather={list(self.weather.values)!r}, p={self.p:g}"
+        training = "" if self.quality is None else f", quality={self.quality!r}"
+        return f"{{{inside}}}, weather={list(self.weather.values)!r}, p={self.p:g}{training}"
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_built": OrderedDict()}
@@ -222,13 +232,13 @@ class Compose(nn.Module):
         applied = float(keyed_stream(seed, "compose.applied").random()) < self.p
         chosen = self.weather.at(float(keyed_stream(seed, "compose.weather").random()))
         if not applied or chosen is None:
-            return Draw(seed, None)
+            return Draw(seed, None, quality=self.quality)
         nuisances = {
             key: draw_nuisances(spec.nuisances, seed, derived_seed(seed, key))
             for key, spec in self.specs.items()
             if spec.nuisances
         }
-        return Draw(seed, chosen.drawn(seed).to_dict(), nuisances)
+        return Draw(seed, chosen.drawn(seed).to_dict(), nuisances, self.quality)
 
     def _names(self, sample: Sample, number: int | None) -> list[int | str]:
         """The samples' own names."""
@@ -263,7 +273,7 @@ class Compose(nn.Module):
         Raises:
             ValueError: the sample lacks a key, or the data of the keys are of batches of different sizes.
         """
-        return self.run(sample, seed=seed, draw=draw)[0]
+        return self._run(sample, seed, draw, truth=False)[0]
 
     if TYPE_CHECKING:
         __call__ = forward
@@ -277,6 +287,12 @@ class Compose(nn.Module):
             The sample, and key to ``CameraResult``, ``RgbResult``, ``LidarResult`` or ``RadarResult``; in a batch to
             a list of them. A sample that got no weather has none: an empty dictionary, or ``None`` in the list.
         """
+        return self._run(sample, seed, draw, truth=True)
+
+    def _run(
+        self, sample: Sample, seed: int | None, draw: Draw | Sequence[Draw] | None, *, truth: bool
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """As `run`; without ``truth`` some results may be the data alone."""
         data = self._data(sample)
         number = self._number(data)
         if draw is None:
@@ -295,7 +311,9 @@ class Compose(nn.Module):
         results: dict[str, Any] = {}
         for key, spec in self.specs.items():
             if number is None:
-                found = self._in_weather(key, spec, data[key], self._extras(sample, key, spec, None, 1), draws[0])
+                found = self._in_weather(
+                    key, spec, data[key], self._extras(sample, key, spec, None, 1), draws[0], truth
+                )
                 if found is not None:
                     results[key] = found
                     out[key] = like(data_of(found), sample[key])
@@ -303,7 +321,9 @@ class Compose(nn.Module):
                     out[key] = like(self._clear(key, spec, data[key]), sample[key])
             else:
                 each = [
-                    self._in_weather(key, spec, data[key][k], self._extras(sample, key, spec, k, number), draws[k])
+                    self._in_weather(
+                        key, spec, data[key][k], self._extras(sample, key, spec, k, number), draws[k], truth
+                    )
                     for k in range(number)
                 ]
                 if self._mosaics(spec) or any(found is not None for found in each):
@@ -335,7 +355,13 @@ class Compose(nn.Module):
         return found
 
     def _in_weather(
-        self, key: str, spec: TransformSpec[Any], value: Tensor, extras: Mapping[str, Any], draw: Draw
+        self,
+        key: str,
+        spec: TransformSpec[Any],
+        value: Tensor,
+        extras: Mapping[str, Any],
+        draw: Draw,
+        truth: bool,
     ) -> Any:
         """What the transform of a key makes of it; ``None`` without weather."""
         if draw.weather is None:
@@ -347,6 +373,10 @@ class Compose(nn.Module):
                 f"{', '.join(spec.nuisances) or 'no nuisance'}, and no others; the difference is {', '.join(missing)}. "
                 "It was drawn by another Compose."
             )
+        if spec.by_look_ups and not truth:
+            found = self._by_look_ups(key, spec, value, extras.get("depth"), draw)
+            if found is not None:
+                return found
         transform = self._transform(key, spec, draw.weather, drawn, value.device)
         noise = transform.draw(value, seed=derived_seed(draw.seed, key))
         inner = transform.transform if spec.rgb else transform
@@ -358,6 +388,21 @@ class Compose(nn.Module):
                 }
         noise = {name: one.to(value.device) for name, one in noise.items()}
         return transform.run(value, noise=noise, **extras)
+
+    def _by_look_ups(self, key: str, spec: TransformSpec[Any], value: Tensor, depth: Any, draw: Draw) -> Tensor | None:
+        """An image in weather of training quality, by one transform for all rates and airlights; ``None`` where that
+        takes more than look-ups."""
+        assert draw.weather is not None
+        at_any_rate, drawn = weather_at_any_rate(draw.weather), draw.nuisances.get(key, {})
+        if at_any_rate is None:
+            return None
+        light = drawn.get("airlight")
+        transform = self._transform(key, spec, at_any_rate, with_any_airlight(drawn), value.device)
+        rate = float(draw.weather["rate_mm_per_h"])
+        found: Tensor | None = transform.in_training_weather(
+            value, depth, None, derived_seed(draw.seed, key), None, [rate], light
+        )
+        return found
 
     def _transform(
         self,

@@ -51,8 +51,9 @@ class RandomWeather(nn.Module):
             picture to depth, or ``auto``: guessed from the picture. ``None`` is ``auto``, with a warning.
         seed: makes the weather of a picture a function of the seed and its pixels, in any worker and order; ``None``:
             from torch's global generator, which a ``DataLoader`` seeds per worker.
-        options: of `BayerWeather`: ``airlight``, ``ego_speed_m_per_s``, ``effects`` and others. Distributions in them
-            are drawn for each picture: ``airlight=Uniform(0.3, 0.95)``.
+        options: of `BayerWeather`: ``airlight``, ``ego_speed_m_per_s``, ``effects``, ``quality`` and others.
+            Distributions in them are drawn for each picture: ``airlight=Uniform(0.3, 0.95)``. With
+            ``quality="training"`` call `prepare` before the workers of a loader start.
 
     Note:
         Where the depth is known (a renderer, LiDAR, stereo), give it: it decides the result. Put the transform in front
@@ -91,11 +92,14 @@ class RandomWeather(nn.Module):
         self.camera = Camera.of(DEFAULT_CAMERA if camera is None else camera)
         self._composed: OrderedDict[tuple[int, int], Compose] = OrderedDict()
         self._warned = False
-        self._compose(self.camera.height, self.camera.width)  # wrong weathers and options are refused here
+        # Wrong weathers and options are refused here; storms of training quality are rendered for a picture's size.
+        self._transform(self.camera)
+        Compose({"image": self._transform(self.camera, quality="exact")}, weather=self.weather, p=self.p)
 
     def extra_repr(self) -> str:
         """The weathers and how often they come."""
-        return f"{self.weather!r}, p={self.p:g}"
+        training = "" if self.options.get("quality", "exact") == "exact" else ", quality='training'"
+        return f"{self.weather!r}, p={self.p:g}{training}"
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_composed": OrderedDict()}
@@ -197,14 +201,24 @@ class RandomWeather(nn.Module):
                 stacklevel=4,
             )
 
+    def prepare(self, height: int, width: int) -> None:
+        """Make ready for pictures of a size; with ``quality="training"`` all storms are rendered now, some 10 s.
+
+        Call it before the workers of a ``DataLoader`` start: they then share the storms.
+        """
+        check_arguments("RandomWeather.prepare(height: int, width: int)", height, width)
+        self._compose(int(height), int(width))
+
+    def _transform(self, camera: Camera, **others: Any) -> AsBayer:
+        depth = "auto" if self.depth is None else self.depth
+        first = self.weather if isinstance(self.weather, Weather) else _first(self.weather)
+        return AsBayer(BayerWeather(first.densest(), camera, depth=depth, **{**self.options, **others}))
+
     def _compose(self, height: int, width: int) -> Compose:
         """The transform for pictures of a size; the last sizes are kept."""
         size = (height, width)
         if size not in self._composed:
-            camera = fit_camera(self.camera, width, height).camera
-            depth = "auto" if self.depth is None else self.depth
-            first = self.weather if isinstance(self.weather, Weather) else _first(self.weather)
-            transform = AsBayer(BayerWeather(first.densest(), camera, depth=depth, **self.options))
+            transform = self._transform(fit_camera(self.camera, width, height).camera)
             self._composed[size] = Compose({"image": transform}, weather=self.weather, p=self.p)
             if len(self._composed) > KEPT_SIZES:
                 self._composed.popitem(last=False)

@@ -41,6 +41,8 @@ def as_tensor(value: Any, key: str) -> Any:
 
 def data_of(result: Any) -> Any:
     """The data themselves, of a result."""
+    if isinstance(result, Tensor):
+        return result
     for name in ("bayer", "rgb", "points", "values"):
         if hasattr(result, name):
             return getattr(result, name)

@@ -60,6 +60,11 @@ class TransformSpec(Generic[S]):
     method: str = "malvar"
     nuisances: Mapping[str, Distribution] = field(default_factory=dict)
 
+    @property
+    def by_look_ups(self) -> bool:
+        """Whether rain and snow come from a bank onto RGB images (``quality="training"``)."""
+        return self.rgb and not self.through_mosaic and self.options["quality"] != "exact"
+
     def build(self, weather: Weather, drawn: Mapping[str, Any] | None = None) -> Any:
         """The transform for a weather.
 

@@ -13,6 +13,8 @@ from torchweather.camera.depth import AUTO, ConstantDepth, FlatGround, ScenePrio
 from torchweather.camera.exposure import ExposureControl
 from torchweather.camera.night.lamps import Night
 from torchweather.camera.options import RENAMED, CameraOptions
+from torchweather.camera.particles.bank import DrawBank
+from torchweather.camera.particles.bank_veil import TRAINING_QUALITY
 from torchweather.camera.transform import BayerWeather
 from torchweather.compose.transform_spec import sensor_of, spec_of
 from torchweather.core.distributions import Distribution
@@ -79,6 +81,8 @@ def options_of(transform: RecipeTransform) -> dict[str, Any]:
         options["depth"] = _depth_option(as_depth_source(options["depth"]))
     if isinstance(options.get("exposure_control"), ExposureControl):
         options["exposure_control"] = options["exposure_control"].config()
+    if isinstance(options.get("quality"), DrawBank):
+        options["quality"] = TRAINING_QUALITY
     if isinstance(options.get("night"), Night):
         options["night"] = options["night"].to_dict()
     if options.get("effects"):

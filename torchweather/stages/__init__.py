@@ -2,6 +2,7 @@
 
 from torchweather.camera.exposure import ExposureControl, ExposureMeter
 from torchweather.camera.fog import ExtinctionAndAirlight, Quantise
+from torchweather.camera.particles.bank_veil import BankVeil
 from torchweather.camera.particles.veil import ParticleVeil
 from torchweather.camera.state import CameraState
 from torchweather.lidar.doppler import RadialSpeed
@@ -22,6 +23,7 @@ from torchweather.stages.catalogue import EFFECTS
 __all__ = [
     "EFFECTS",
     "STAGES",
+    "BankVeil",
     "CameraState",
     "Chain",
     "Detection",

@@ -1,6 +1,7 @@
 """The ready-made transforms: short constructors over chains."""
 
 from torchweather.camera.hdr import HdrResult, HdrWeather
+from torchweather.camera.particles.bank import DrawBank
 from torchweather.camera.rgb import AsBayer
 from torchweather.camera.thermal import ThermalWeather
 from torchweather.camera.transform import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
@@ -16,6 +17,7 @@ __all__ = [
     "BayerSnow",
     "BayerWeather",
     "CameraResult",
+    "DrawBank",
     "HdrResult",
     "HdrWeather",
     "LidarFog",

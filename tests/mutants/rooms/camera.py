@@ -12,6 +12,30 @@ AIRLIGHT = "torchweather.camera.airlight"
 
 MUTANTS = (
     Mutant(
+        "bank_shows_particles_behind_the_scene",
+        "a pixel takes the layer of a bank in front of its depth",
+        "torchweather.camera.particles.bank",
+        'np.searchsorted(node_bins, np.arange(self.bins), side="right") - 1',
+        'np.searchsorted(node_bins, np.arange(self.bins), side="right").clip(max=len(node_bins) - 1)',
+        ("tests/camera/particles/test_bank.py::test_no_layer_holds_particles_behind_the_depth_that_takes_it",),
+    ),
+    Mutant(
+        "both_storms_of_a_bank_are_one",
+        "a sample adds two storms, each displaced by itself",
+        "torchweather.camera.particles.bank",
+        "total += tables.level.index_select(0, codes[storm].index_select(0, where).int())",
+        "total += tables.level.index_select(0, codes[0].index_select(0, where).int())",
+        ("tests/camera/particles/test_bank.py::test_the_look_ups_are_those_of_a_loop_over_pixels",),
+    ),
+    Mutant(
+        "bank_without_what_is_between_its_nodes",
+        "between depths and rates a bank keeps the mean transmission",
+        "torchweather.camera.particles.bank",
+        "even = np.maximum(mean - between(covered, amplitude), 0.0)",
+        "even = np.zeros_like(mean)",
+        ("tests/camera/particles/test_bank.py::test_the_mean_transmission_is_that_of_the_particles",),
+    ),
+    Mutant(
         "pixels_of_the_shortest_exposure",
         "an HDR pixel is from the longest exposure that is not saturated",
         "torchweather.camera.hdr",
