@@ -16,6 +16,7 @@ from torch import Tensor
 import torchweather as tw
 from torchweather.camera.particles.bank import _KEPT, MOST_BYTES, STORMS, DrawBank
 from torchweather.camera.particles.bank_codes import BIN_SHIFT, decoded_codes, encoded
+from torchweather.core.compiled import SWITCH
 from torchweather.core.exceptions import InputValueError, TorchweatherError
 from torchweather.core.random import draw_variates
 from torchweather.stages import EFFECTS
@@ -227,6 +228,15 @@ def test_look_ups_of_8_bits_are_the_same_as_linear_light(picture: Tensor) -> Non
     assert int(apart.abs().max()) <= 2
     assert float(apart.float().mean().abs()) < 0.1
     assert float(slow.particle_mask.mean()) > 0.005
+
+
+def test_compiled_look_ups_are_those_of_torch_bit_by_bit(picture: Tensor, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    transform, found = rainy(), []
+    for switch in "01":
+        monkeypatch.setenv(SWITCH, switch)
+        found.append([transform(picture, depth_m, seed=3) for depth_m in (ramp(), torch.full((1, HEIGHT, WIDTH), 0.3))])
+    assert all(torch.equal(*pair) for pair in zip(*found, strict=True))
 
 
 def test_rate_zero_gives_every_bit_back(picture: Tensor) -> None:

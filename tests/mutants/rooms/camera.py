@@ -28,6 +28,14 @@ MUTANTS = (
         ("tests/camera/particles/test_bank.py::test_the_look_ups_are_those_of_a_loop_over_pixels",),
     ),
     Mutant(
+        "compiled_look_ups_without_the_layer",
+        "the compiled loop takes the layer in front of the depth, too",
+        "torchweather.camera.compiled_bank_pass",
+        "layer = U32(base[depth_bin])",
+        "layer = U32(base[0])",
+        ("tests/camera/particles/test_bank.py::test_compiled_look_ups_are_those_of_torch_bit_by_bit",),
+    ),
+    Mutant(
         "bank_without_what_is_between_its_nodes",
         "between depths and rates a bank keeps the mean transmission",
         "torchweather.camera.particles.bank",

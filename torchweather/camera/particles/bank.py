@@ -355,11 +355,11 @@ class DrawBank:
         rows, columns = self.size
         found = []
         for down, across, mirrored in place.tolist():
-            v = (torch.arange(height, dtype=torch.int32) + int(down * rows)) % rows
-            u = (torch.arange(width, dtype=torch.int32) + int(across * columns)) % columns
+            v = (np.arange(height, dtype=np.int32) + int(down * rows)) % rows * columns
+            u = (np.arange(width, dtype=np.int32) + int(across * columns)) % columns
             if self.mirrors and mirrored >= 0.5:
                 u = columns - 1 - u
-            found.append((v * columns, u))
+            found.append((torch.from_numpy(v), torch.from_numpy(u)))
         return found
 
     def optical_depth(self, depth_m: Tensor, rate_mm_per_h: float, place: Tensor) -> Tensor:
