@@ -140,8 +140,8 @@ MUTANTS = (
         "rows_of_a_mark_begin_before_it",
         "the first row of a mark holds what lies above its lower edge",
         STREAKS,
-        ".index_fill(-1, self.first, 0.0)\n        return share - before",
-        "\n        return share - before",
+        "return along.index_copy_(-1, self.first, share.index_select(-1, self.first))",
+        "return along",
         ("tests/camera/particles/test_deposit.py::test_marks_of_like_columns_add_up_to_those_on_one_footprint",),
     ),
     Mutant(
