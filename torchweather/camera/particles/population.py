@@ -405,8 +405,10 @@ class Population(nn.Module):
 
     def check_reach(self, points: Tensor, number: int, highest: float, sizes: Mapping[str, int]) -> None:
         """Raise where points that were drawn for a lower rate do not reach the levels of this one."""
+        if len(points) and float(points[-1, COLUMN_LEVEL]) >= min(highest, 1.0):
+            return
         slots = self.variates()[number].sample_shape(sizes)[0]
-        if len(points) < slots and (not len(points) or float(points[-1, COLUMN_LEVEL]) < min(highest, 1.0)):
+        if len(points) < slots:
             raise InputValueError(
                 f"ParticleVeil: noise '{self.weather.kind}_shell_{number}' was drawn for a lower rate; it holds "
                 f"{len(points)} of {slots} points. Draw at this rate, or without at_rate=True, which serves every rate."
