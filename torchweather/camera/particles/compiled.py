@@ -255,7 +255,7 @@ def haze_depth(
     faded = None if fog_per_m is None else torch.empty_like(optical)
     rows = (..., slice(first, last), slice(None))
     depth, ray = _array(state.scene.depth_m[rows])[:, 0], _array(state.scene.ray_per_depth[rows])[:, 0]
-    longest = _array(state.scene.ray_per_depth.flatten(1).amax(1).amax(0, keepdim=True))[0]
+    longest = 1.0 if fog_per_m is None else float(state.scene.ray_per_depth.amax())
     fields = _array(noise[f"{p.weather.kind}_haze"])
     names = ("haze_depth", "haze_variance", "kernel_along", "kernel_across")
     mean, variance, along, across = (_array(getattr(tables, name)) for name in names)
@@ -269,16 +269,14 @@ def haze_depth(
         clear: Array = NOTHING
         if fog_per_m is not None:
             fog = float(_of(_array(fog_per_m), sample))
-            clear = _clear_table(own_mean, t.log_footprint_low, t.log_footprint_step, focal, float(longest), fog)
+            clear = _clear_table(own_mean, t.log_footprint_low, t.log_footprint_step, focal, longest, fog)
         scaled = own_variance * np.float32(focal)
         nearest, farthest = (
             np.array([scaled[place] for place in places])
             for places in zip(*((shell.first_node, shell.last_node) for shell in p.haze_shells), strict=True)
         )
         steep = 1.0 if p.haze_steep else 0.0
-        axis = HazeAxis(
-            focal, far_m, t.log_footprint_low, t.log_footprint_step, float(longest), float(p.haze_slope), steep
-        )
+        axis = HazeAxis(focal, far_m, t.log_footprint_low, t.log_footprint_step, longest, float(p.haze_slope), steep)
         own = (fields[sample], _of(depth, sample), _of(ray, sample), own_mean, own_variance, clear)
         into = (optical.numpy()[sample, 0], NOTHING if faded is None else faded.numpy()[sample, 0])
         haze_rows(*into, *own, _of(along, sample), _of(across, sample), nearest, farthest, axis, first)
