@@ -92,6 +92,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--follow-links", action="store_true", help="take links to folders, and links that lead out of SRC"
     )
+    parser.add_argument(
+        "--png-level",
+        type=int,
+        metavar="0-9",
+        help="compression of PNG: 0 is fastest, 9 smallest, default 6; the pixels are the same",
+    )
     add_no_fsync(parser)
     parser.add_argument("--dry-run", action="store_true", help="only say what would be done")
     parser.add_argument("--quiet", action="store_true", help="no progress")
@@ -125,6 +131,7 @@ def run(args: argparse.Namespace) -> int:
             prune=args.prune,
             follow_links=args.follow_links,
             durable=not args.no_fsync,
+            png_level=args.png_level,
             dry_run=args.dry_run,
             on_progress=shown.tell,
         )

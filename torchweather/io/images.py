@@ -23,7 +23,7 @@ from torch import Tensor
 from torchweather.core.arguments import check_arguments
 from torchweather.core.arrays import as_numpy
 from torchweather.core.atomic import atomic_write
-from torchweather.core.errors import TorchweatherError, TorchweatherWarning
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning, check_between
 from torchweather.core.inflation import check_inflated
 from torchweather.io.arrays import array_to_tensor, read_named_array, write_archive
 from torchweather.io.exif import BROKEN_PICTURE, ORIENTATION, exif_tags
@@ -152,7 +152,9 @@ def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
     return image, ImageInfo(source, suffix, kind, orientation, layout, name or None)
 
 
-def write_image(path: str | os.PathLike[str], image: Tensor, *, like: ImageInfo | None = None) -> None:
+def write_image(
+    path: str | os.PathLike[str], image: Tensor, *, like: ImageInfo | None = None, png_level: int | None = None
+) -> None:
     """Write a frame in the format that the file's ending names, whole or not at all.
 
     Args:
@@ -162,11 +164,22 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, like: ImageInfo 
         image: ``(H, W)``, ``(1, H, W)`` or ``(3, H, W)``; for ``.npy`` and ``.npz`` also with batch dimensions.
         like: what `read_image` said of the file that the image comes from: an array is written in its layout, and in a
             ``.npz`` under its name.
+        png_level: how hard a ``.png`` is compressed, 0 (not at all, fastest) to 9; ``None`` is 6. The pixels are the
+            same.
 
     Raises:
+        InputValueError: a level outside 0 to 9.
         TorchweatherError: the format cannot hold the image, or the folder does not exist.
     """
-    check_arguments("write_image(path: path, image: Tensor, like: ImageInfo | None)", path, image, like)
+    check_arguments(
+        "write_image(path: path, image: Tensor, like: ImageInfo | None, png_level: int | None)",
+        path,
+        image,
+        like,
+        png_level,
+    )
+    if png_level is not None:
+        check_between("png_level", png_level, 0, 9, owner="write_image", advice="6 is usual, 1 fast.")
     target = Path(path)
     suffix = target.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:
@@ -186,7 +199,7 @@ def write_image(path: str | os.PathLike[str], image: Tensor, *, like: ImageInfo 
         if suffix == ".npy":
             np.save(unfinished, _laid_out(array, like), allow_pickle=False)
         else:
-            _encode(target, suffix, array, unfinished)
+            _encode(target, suffix, array, unfinished, png_level)
 
 
 def _laid_out(array: npt.NDArray[Any], like: ImageInfo | None) -> npt.NDArray[Any]:
@@ -199,7 +212,7 @@ def _laid_out(array: npt.NDArray[Any], like: ImageInfo | None) -> npt.NDArray[An
     return array
 
 
-def _encode(target: Path, suffix: str, array: npt.NDArray[Any], unfinished: Path) -> None:
+def _encode(target: Path, suffix: str, array: npt.NDArray[Any], unfinished: Path, png_level: int | None = None) -> None:
     from PIL import Image
 
     colour, form = array.shape[0] == 3, _PILLOW_FORMATS[suffix]
@@ -211,7 +224,8 @@ def _encode(target: Path, suffix: str, array: npt.NDArray[Any], unfinished: Path
             "(torchweather.image.quantise), or write .npy."
         )
     picture = Image.fromarray(np.ascontiguousarray(np.moveaxis(array, 0, -1)) if colour else array[0])
-    picture.save(unfinished, format=form, **_SAVE_OPTIONS.get(form, {}))
+    level = {} if png_level is None or form != "PNG" else {"compress_level": int(png_level)}
+    picture.save(unfinished, format=form, **_SAVE_OPTIONS.get(form, {}), **level)
 
 
 def _decoded(source: Path) -> tuple[npt.NDArray[Any], int]:

@@ -10,6 +10,14 @@ WHAT_STANDS = "tests/datasets/augment/test_what_stands.py"
 
 MUTANTS = (
     Mutant(
+        "depth_of_every_frame",
+        "depth is found only where a weather was drawn",
+        "torchweather.datasets.augment.work",
+        "if draw.weather is not None or any(map(compose.clear_through_mosaic, files)):",
+        "if True:",
+        ("tests/datasets/augment/test_content.py::test_depth_is_found_only_for_frames_with_a_weather",),
+    ),
+    Mutant(
         "path_outside_the_folder_read",
         "a manifest leads to no file outside its folder",
         PATHS,

@@ -51,6 +51,7 @@ class CameraFile(FrameFile):
     suffixes: ClassVar[tuple[str, ...]] = IMAGE_SUFFIXES
     takes_depth: ClassVar[bool] = True
     spec: TransformSpec[Camera]
+    use: CameraUse
 
     def _read(self, path: Path) -> None:
         self.data, info = read_image(path)
@@ -62,9 +63,7 @@ class CameraFile(FrameFile):
         camera, rgb = self._camera(), info.kind == "rgb"
         height, width = self.data.shape[-2:]
         source = self._depth_source(path, rgb)
-        self.depth: SceneDepth | None = None
-        if source is not None:
-            self.depth = source.scene(camera, height, width, image=self.data).to(dtype=torch.float32)
+        self._source, self._size = source, (height, width)
         self.use = CameraUse(kind=self.kind, depth=source is not None, camera=camera, rgb=rgb)
 
     def _camera(self) -> Camera:
@@ -115,15 +114,15 @@ class CameraFile(FrameFile):
         how = self.job.reading
         return {"bin_columns": how.bin_columns, "bin_dtype": how.bin_dtype}
 
-    def sample(self) -> Iterator[tuple[str, Tensor | SceneDepth]]:
-        """The image, and its depth where it is not left to the recipe."""
-        yield from super().sample()
-        if self.depth is not None:
-            yield f"{self.file.key} depth", self.depth
+    def depths(self) -> Iterator[tuple[str, SceneDepth]]:
+        """The depth of the image where it is not left to the recipe: triangulated, or guessed from the picture."""
+        if self._source is not None:
+            scene = self._source.scene(self.use.camera, *self._size, image=self.data)
+            yield f"{self.file.key} depth", scene.to(dtype=torch.float32)
 
     def save(self, data: Tensor) -> None:
         """Write an image."""
-        write_image(self.paths.new(self.file.target), data, like=self.info)
+        write_image(self.paths.new(self.file.target), data, like=self.info, png_level=self.job.png_level)
 
     def note(self, result: Any) -> str:
         """How sure the depth is."""

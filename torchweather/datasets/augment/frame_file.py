@@ -71,9 +71,9 @@ class FrameFile(ABC):
     def save(self, data: Tensor) -> None:
         """Write data in the format of the file."""
 
-    def sample(self) -> Iterator[tuple[str, Tensor | SceneDepth]]:
-        """Keys and values that the recipe is given."""
-        yield self.file.key, self.data
+    def depths(self) -> Iterator[tuple[str, SceneDepth]]:
+        """Key and depth that the recipe is given beside the data, where the frame gets weather; found at the call."""
+        yield from ()
 
     def write(self, result: Any) -> None:
         """Write what the transform's ``run`` gave."""

@@ -32,6 +32,7 @@ class Job:
         reading: how point files are to be read.
         follow_links: links may lead out of the source.
         durable: every file is on the disk before its name is (`atomic_write`).
+        png_level: compression of PNG, 0 to 9; ``None`` is the usual one, 6.
     """
 
     source: str
@@ -46,6 +47,7 @@ class Job:
     reading: PointReading = field(default_factory=PointReading)
     follow_links: bool = False
     durable: bool = True
+    png_level: int | None = None
 
 
 class FramePaths:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 import torchweather
-from torchweather.core.errors import InputValueError, check_at_least, check_one_of
+from torchweather.core.errors import InputValueError, check_at_least, check_between, check_one_of
 from torchweather.core.random import DRAWS, sample_seed
 from torchweather.datasets.augment.frame_files import FRAME_FILES
 from torchweather.datasets.augment.frame_recipe import FrameRecipe, text_sha256
@@ -38,7 +38,7 @@ UNFINISHED = re.compile(r"^\..*\.[0-9a-f]{32}(\.[^.]*)?$")
 SAME = {"recipe_sha256": "--recipe", "seed": "--seed", "layout": "--layout", "depth": "--depth"}
 SAME |= {"bin_columns": "--bin-columns", "bin_dtype": "--bin-dtype", "viewpoint": "--viewpoint"}
 SAME |= {"depth_encoding": "--depth-encoding", "depth_along": "--depth-along", "baseline_m": "--baseline-m"}
-SAME |= {"formats": "--format", "own_vehicle": "--own-vehicle"}
+SAME |= {"formats": "--format", "own_vehicle": "--own-vehicle", "png_level": "--png-level"}
 
 
 class Engine(Protocol):
@@ -126,6 +126,7 @@ def augment(
     prune: bool = False,
     follow_links: bool = False,
     durable: bool = True,
+    png_level: int | None = None,
     dry_run: bool = False,
     on_progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Summary:
@@ -157,6 +158,7 @@ def augment(
         prune: delete the results of frames that are in the source no more; else they are listed in ``gone``.
         follow_links: take links to folders, and links that lead out of the source.
         durable: every result is on the disk before its row is; without it faster, but not safe against a power cut.
+        png_level: compression of PNG, 0 (fastest) to 9 (smallest); ``None`` is 6. The pixels are the same.
         dry_run: only count.
         on_progress: is told before the first frame and after each.
 
@@ -172,6 +174,8 @@ def augment(
     how = reading or PointReading()
     check_folders(source, target)
     check_at_least("workers", workers, 0, owner="augment")
+    if png_level is not None:
+        check_between("png_level", png_level, 0, 9, owner="augment", advice="6 is usual, 1 fast.")
     check_one_of("engine", engine, ENGINES, owner="augment")
     if engine == "ray" and not dry_run:
         from torchweather.datasets.augment.ray_engine import check_ray
@@ -197,6 +201,7 @@ def augment(
         "baseline_m": "" if baseline_m is None else f"{baseline_m:g}",
         "own_vehicle": own_vehicle or "",
         **_reading_settings(how),
+        "png_level": "" if png_level is None else str(int(png_level)),
         "formats": json.dumps(dict(formats or {}), sort_keys=True),
         "version": torchweather.__version__,
         "draws": DRAWS,
@@ -213,6 +218,7 @@ def augment(
         reading=how,
         follow_links=follow_links,
         durable=durable,
+        png_level=png_level,
     )
     _check_target(target)
     if dry_run and not (target / MANIFEST).exists():

@@ -87,10 +87,15 @@ class Worker:
             for file in frame.files
         }
         compose = self.recipe.for_sensors({key: one.use for key, one in files.items()})
-        sample = {name: value for one in files.values() for name, value in one.sample()}
+        sample: dict[str, Any] = {one.file.key: one.data for one in files.values()}
         draw = compose.draw(sample, seed=seed)
         assert not isinstance(draw, list)
-        out, results = compose.run(sample, draw=draw)
+        out: dict[str, Any] = {}
+        results: dict[str, Any] = {}
+        # A frame that stays clear needs no depth, which takes longer than some weather.
+        if draw.weather is not None or any(map(compose.clear_through_mosaic, files)):
+            depths = {name: depth for one in files.values() for name, depth in one.depths()}
+            out, results = compose.run(sample | depths, draw=draw)
         for key, one in files.items():
             if key in results:
                 one.write(results[key])
