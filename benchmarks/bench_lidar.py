@@ -6,6 +6,10 @@
 The embedded test track as an Ouster OS1-128 sees it: 131,072 beams (1024 columns) and 262,144 (2048), organised, with
 the direction of every beam, so that beams without return (more than half: the sky) are simulated too. ``total`` is the
 everyday call: it draws and renders. Set-up and peak memory (Linux only) are measured in fresh processes.
+
+``fresh_rate`` is training: a rate or visibility of its own in each call, in CPU milliseconds of one thread, for all
+return modes; the beams without return have no direction there. ``kitti_loader`` reads sweeps of 120,000 points from
+``.bin`` files, clear and in weather.
 """
 
 from __future__ import annotations
@@ -16,12 +20,14 @@ import os
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from measure import hand_over, machine, times_ms
 
@@ -32,12 +38,20 @@ ROOT = Path(__file__).parents[1]
 COLUMNS = (1024, 2048)
 MAKE: dict[str, Callable[[Any], tw.weather.Weather]] = {"rain": tw.Rain, "snow": tw.Snow, "fog": tw.Fog}
 KNOB = {"rain": 25.0, "snow": 2.0, "fog": 50.0}
+DRAWN: dict[str, tw.weather.Weather] = {
+    "rain": tw.Rain(rate_mm_per_h=tw.LogUniform(1.0, 50.0)),
+    "snow": tw.Snow(rate_mm_per_h=tw.LogUniform(0.25, 3.0)),
+    "fog": tw.Fog(mor_m=tw.LogUniform(30.0, 500.0)),
+}
 WEATHERS = {kind: f"{kind.capitalize()}({intensity})" for kind, intensity in KNOB.items()}
 # What the issue asks for, at the larger cloud.
 TARGETS = {
     "rain.total_ms": 30.0,
     "snow.total_ms": 30.0,
     "fog.total_ms": 30.0,
+    "fresh_rate.strongest_cpu_ms": 19.0,
+    "fresh_rate.snow_dual_cpu_ms": 35.0,
+    "kitti_loader.rain_cpu_ms": 14.0,
     "setup.first_use_s": 0.3,
     "batch.time_over_that_of_single_frames": 1.1,
 }
@@ -136,6 +150,67 @@ def new_intensity_times(kind: str, points: torch.Tensor, sensor: tw.Lidar, repea
     }
 
 
+def cpu_ms(call: Callable[[], object], repeats: int) -> dict[str, float]:
+    """CPU time of calls on one thread: other processes do not count."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        call()
+        times = []
+        for _ in range(repeats):
+            start = time.process_time()
+            call()
+            times.append(1e3 * (time.process_time() - start))
+    finally:
+        torch.set_num_threads(threads)
+    return {
+        "median_cpu_ms": round(statistics.median(times), 2),
+        "min_cpu_ms": round(min(times), 2),
+        "repeats": len(times),
+    }
+
+
+def fresh_rates(points: torch.Tensor, sensor: tw.Lidar, repeats: int) -> dict[str, Any]:
+    """A rate of its own in each call, in every return mode, and the transform for another weather alone."""
+    found: dict[str, Any] = {}
+    for mode in ("strongest", "first", "last", "dual"):
+        of_mode = replace(sensor, return_mode=mode)
+        for kind, make in MAKE.items():
+            seeds = iter(range(10_000))
+            drawn = tw.LidarWeather(DRAWN[kind], of_mode)
+            fixed = tw.LidarWeather(make(KNOB[kind]), of_mode)
+            others = iter(intensities(kind, repeats + 1).tolist())
+            found.setdefault(mode, {})[kind] = {
+                "call": cpu_ms(lambda drawn=drawn, seeds=seeds: drawn(points, seed=next(seeds)), repeats),
+                "with_weather": cpu_ms(
+                    lambda fixed=fixed, make=make, others=others: fixed.with_weather(make(next(others))), repeats
+                ),
+            }
+    return found
+
+
+def kitti_loader(repeats: int, points: int = 120_000) -> dict[str, Any]:
+    """A ``.bin`` of KITTI's size from its file through ``Compose``, each with a weather of its own."""
+    sensor = tw.Lidar.preset("velodyne-hdl-64e", intensity_unit="reflectivity")
+    view = lidar_view(test_track(), sensor)
+    cloud = view.points[view.hit][:, :4]
+    cloud = cloud.repeat(1 + points // len(cloud), 1)[:points]
+    found: dict[str, Any] = {"points": len(cloud)}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "000000.bin")
+        cloud.numpy().astype(np.float32).tofile(file)
+
+        def clear() -> torch.Tensor:
+            return torch.from_numpy(np.fromfile(file, dtype=np.float32).reshape(-1, 4))
+
+        found["clear"] = cpu_ms(clear, repeats)
+        for kind, weather in DRAWN.items():
+            compose = tw.Compose({"points": tw.LidarWeather(weather.densest(), sensor)}, weather=weather)
+            seeds = iter(range(10_000))
+            found[kind] = cpu_ms(lambda c=compose, s=seeds: c({"points": clear()}, seed=next(s)), repeats)
+    return found
+
+
 def batch_times(kind: str, points: torch.Tensor, sensor: tw.Lidar, repeats: int, size: int) -> dict[str, Any]:
     """As many frames, each at a rate of its own, in one call and one by one."""
     single = tw.LidarWeather(MAKE[kind](KNOB[kind]), sensor)
@@ -202,12 +277,14 @@ def main() -> None:
 
     host = machine()
     clouds: dict[str, Any] = {}
+    fresh: dict[str, Any] = {}
     points, sensor = torch.empty(0), tw.Lidar.preset("ouster-os1-128")
     for columns in all_columns:
         plain = tw.Lidar.preset("ouster-os1-128", columns=columns)
         view = lidar_view(test_track(), plain)
         points, sensor = view.points, replace(plain, directions=view.directions)
         dual = replace(sensor, return_mode="dual")
+        fresh = fresh or {"points": len(points), **fresh_rates(points, plain, repeats)}
         clouds[str(len(points))] = {
             "beams_with_return": int(view.hit.sum()),
             "exp_and_sqrt": exp_and_sqrt(points, 3 * repeats),
@@ -216,6 +293,7 @@ def main() -> None:
         }
     largest = clouds[str(len(points))]
     new_intensity = {kind: new_intensity_times(kind, points, sensor, repeats) for kind in WEATHERS}
+    loader = kitti_loader(repeats, 5000 if arguments.quick else 120_000)
     batches = {kind: batch_times(kind, points, sensor, repeats, batch) for kind in WEATHERS}
     file = Path(f"{arguments.out or 'bench_lidar'}.cloud.pt")
     try:
@@ -225,6 +303,9 @@ def main() -> None:
         file.unlink(missing_ok=True)
     figures = {
         **{f"{kind}.total_ms": largest[kind]["total"]["median_ms"] for kind in WEATHERS},
+        "fresh_rate.strongest_cpu_ms": max(fresh["strongest"][kind]["call"]["median_cpu_ms"] for kind in WEATHERS),
+        "fresh_rate.snow_dual_cpu_ms": fresh["dual"]["snow"]["call"]["median_cpu_ms"],
+        "kitti_loader.rain_cpu_ms": loader["rain"]["median_cpu_ms"],
         "setup.first_use_s": max(case["first_use_s"] for key, case in setup.items() if key in WEATHERS),
         "batch.time_over_that_of_single_frames": max(
             case["time_over_that_of_single_frames"] for case in batches.values()
@@ -238,6 +319,8 @@ def main() -> None:
         "d34_table_17_s": D34_TABLE_17_S,
         "clouds": clouds,
         "new_intensity": new_intensity,
+        "fresh_rate": fresh,
+        "kitti_loader": loader,
         "batch": {"frames": batch, "points": len(points), **batches},
         "setup": setup,
         "summary": {
