@@ -9,6 +9,7 @@ from importlib import resources
 from typing import Any
 
 from torchweather.cli.output import print_json, print_lines
+from torchweather.core.compiled import compiled_path
 from torchweather.core.text import aligned
 
 NAME = "list"
@@ -23,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the names."""
-    names = kept_names()
+    names = kept_names() | {"particles_rendered_by": compiled_path()}  # of this machine
     if args.json:
         print_json(names)
     else:
@@ -41,7 +42,6 @@ def kept_names() -> dict[str, Any]:
 def everything() -> dict[str, Any]:
     """All names of the library as plain values."""
     from torchweather.atmosphere.weather import REHEARSE, WEATHERS, weather_kinds
-    from torchweather.core.compiled import compiled_path
     from torchweather.physics import FOG, RAIN, SNOW
     from torchweather.recipes import MultiSensorRecipe, Recipe, SuiteRecipe, list_recipes
     from torchweather.sensors import SENSOR_CLASSES
@@ -74,7 +74,6 @@ def everything() -> dict[str, Any]:
         ],
         "size_distributions": {"rain": sorted(RAIN), "fog": sorted({*FOG, REHEARSE}), "snow": sorted(SNOW)},
         "stages": sorted(STAGES),
-        "particles_rendered_by": compiled_path(),
     }
 
 

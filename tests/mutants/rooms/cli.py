@@ -11,8 +11,8 @@ MUTANTS = (
         "list_asks_the_library",
         "names are listed without torch",
         "torchweather.cli.listing",
-        "names = kept_names()",
-        "names = everything()",
+        "names = kept_names() |",
+        "names = everything() |",
         ("tests/cli/test_cli.py::test_import_help_names_and_errors_of_arguments_do_not_load_torch",),
     ),
     Mutant(
