@@ -39,7 +39,7 @@ MUTANTS = (
         "bank_without_what_is_between_its_nodes",
         "between depths and rates a bank keeps the mean transmission",
         "torchweather.camera.particles.bank",
-        "even = np.maximum(mean - between(covered, amplitude), 0.0)",
+        "even = np.maximum(mean - between(covered, ray * amplitude) / ray, 0.0)",
         "even = np.zeros_like(mean)",
         ("tests/camera/particles/test_bank.py::test_the_mean_transmission_is_that_of_the_particles",),
     ),

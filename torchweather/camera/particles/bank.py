@@ -180,6 +180,8 @@ class DrawBank:
         edges = edges.astype(np.float64)
         self.middle_m = np.clip(0.5 * (edges[:-1] + edges[1:]), self.near_m, self.far_m)
         self._tabulate_moments()
+        x, y, _ = self.camera.ray_directions()
+        self._mean_ray = float(torch.sqrt(1 + x.square() + y.square()).mean())
         whole = math.floor(self.most_bytes / (self.size[0] * self.size[1] * STORMS))  # layers of all rates
         rates = math.ceil(math.log(50.0) / math.log(RATE_RATIO)) + 2
         self.layers = min(MOST_LAYERS, whole // rates)
@@ -328,11 +330,13 @@ class DrawBank:
         _, at_node = self._moments(min(RATE_RATIO**node, self.rate_capacity_mm_per_h))
         layer = np.maximum(self._layer, 0)
         amplitude = np.sqrt(variance / np.maximum(at_node[self._node_bins][layer], 1e-30))
-        amplitude = np.where(self._layer < 0, 0.0, np.minimum(amplitude, AMPLITUDES[-1]))
+        amplitude = np.where(self._layer < 0, 0.0, np.minimum(amplitude, AMPLITUDES[-1] / self._mean_ray))
         covered = self._covered[node].numpy()[:, layer].sum(0)  # (bins, amplitudes), of all storms
         # Where the storms cover more than wanted their marks are fainter; where less, the rest is even.
-        amplitude *= np.minimum(1.0, mean / np.maximum(between(covered, amplitude), 1e-30))
-        even = np.maximum(mean - between(covered, amplitude), 0.0)
+        # Off the axis optical depth grows with the ray; the mean is that of particles at the frame's mean ray.
+        ray = self._mean_ray
+        amplitude *= np.minimum(1.0, ray * mean / np.maximum(between(covered, ray * amplitude), 1e-30))
+        even = np.maximum(mean - between(covered, ray * amplitude) / ray, 0.0)
         base = (layer * (self.size[0] * self.size[1])).astype(np.int32)
         return BankTables(
             node,

@@ -16,9 +16,9 @@ __all__ = ["AMPLITUDES", "BIN_SHIFT", "BankTables", "between", "decoded_codes", 
 # Optical depth by a code of 8 bits: FAINT (exp(STEP q) - 1), steps of 4 %; 8 covers all but 3e-4 of a pixel.
 FAINT, LARGEST = 2e-4, 8.0
 STEP = math.log1p(LARGEST / FAINT) / 255
-# Bins of depth are the highest bits of a float: 64 per octave, 0.8 % on either side of their middle.
-BIN_SHIFT = 17
-AMPLITUDES = (0.0, 0.7, 0.85, 1.0, 1.15, 1.3, 1.6)  # at which the mean transmission of a layer is tabulated
+# Bins of depth are the highest bits of a float: 128 per octave, 0.4 % on either side of their middle.
+BIN_SHIFT = 16
+AMPLITUDES = (0.0, 0.7, 0.85, 1.0, 1.15, 1.3, 1.6, 2.4)  # at which the mean transmission of a layer is tabulated
 
 
 @dataclass(frozen=True)
