@@ -27,6 +27,7 @@ from torchweather.camera.particles.bank_codes import (
     AMPLITUDES,
     BIN_SHIFT,
     BankTables,
+    amplitude_of,
     between,
     decoded_codes,
     depth_bins,
@@ -131,7 +132,9 @@ class DrawBank:
         self._refuse_what_is_not_displaced()
         self._set_up()
         self._codes: OrderedDict[int, Tensor] = OrderedDict()  # of each rate, (storms, layers * H * W) uint8
-        self._covered: dict[int, Tensor] = {}  # of each rate, (storms, layers, amplitudes)
+        # Of each rate the optical depth of the mean transmission and the variance of the covered share,
+        # (2, storms, layers, amplitudes).
+        self._covered: dict[int, Tensor] = {}
 
     @classmethod
     def shared(cls, weather: Rain | Snow, camera: Camera, **values: Any) -> DrawBank:
@@ -290,7 +293,7 @@ class DrawBank:
             published_blend=False,
         )
         codes = torch.empty(STORMS, self.layers, *self.size, dtype=torch.uint8)
-        covered = torch.empty(STORMS, self.layers, len(AMPLITUDES), dtype=torch.float64)
+        covered = torch.empty(2, STORMS, self.layers, len(AMPLITUDES), dtype=torch.float64)
         levels = decoded_codes().double()
         with one_thread_an_operation():
             for storm in range(STORMS):
@@ -300,8 +303,9 @@ class DrawBank:
                 for layer in range(self.layers):
                     count = torch.bincount(codes[storm, layer].flatten(), minlength=256).double()
                     share = count / count.sum()
-                    clear = torch.exp(-levels * torch.tensor(AMPLITUDES, dtype=torch.float64)[:, None]) @ share
-                    covered[storm, layer] = -torch.log(clear)
+                    clear = torch.exp(-levels * torch.tensor(AMPLITUDES, dtype=torch.float64)[:, None])
+                    covered[0, storm, layer] = -torch.log(clear @ share)
+                    covered[1, storm, layer] = (clear.square() @ share - (clear @ share).square()).clamp_min(0.0)
         self._keep(node, codes.view(STORMS, -1), covered)
 
     def _keep(self, node: int, codes: Tensor, covered: Tensor) -> None:
@@ -329,9 +333,12 @@ class DrawBank:
         mean, variance = self._moments(rate_mm_per_h)
         _, at_node = self._moments(min(RATE_RATIO**node, self.rate_capacity_mm_per_h))
         layer = np.maximum(self._layer, 0)
-        amplitude = np.sqrt(variance / np.maximum(at_node[self._node_bins][layer], 1e-30))
+        tables = self._covered[node].numpy()[:, :, layer].sum(1)  # (2, bins, amplitudes), of all storms
+        covered, deviation = tables[0], np.sqrt(tables[1])
+        # Marks that cover a pixel wholly do not grow with their optical depth: the others grow the more.
+        growth = np.sqrt(variance / np.maximum(at_node[self._node_bins][layer], 1e-30))
+        amplitude = amplitude_of(deviation, growth * deviation[:, AMPLITUDES.index(1.0)])
         amplitude = np.where(self._layer < 0, 0.0, np.minimum(amplitude, AMPLITUDES[-1] / self._mean_ray))
-        covered = self._covered[node].numpy()[:, layer].sum(0)  # (bins, amplitudes), of all storms
         # Where the storms cover more than wanted their marks are fainter; where less, the rest is even.
         # Off the axis optical depth grows with the ray; the mean is that of particles at the frame's mean ray.
         ray = self._mean_ray
@@ -446,7 +453,7 @@ class DrawBank:
                 node = int(name.removeprefix("codes_"))
                 codes, covered = torch.from_numpy(arrays[name]), torch.from_numpy(arrays[f"covered_{node}"])
                 wanted = (STORMS, bank.layers * bank.size[0] * bank.size[1])
-                layers = (STORMS, bank.layers, len(AMPLITUDES))
+                layers = (2, STORMS, bank.layers, len(AMPLITUDES))
                 if codes.dtype != torch.uint8 or tuple(codes.shape) != wanted or tuple(covered.shape) != layers:
                     raise ValueError(f"{name} has shape {tuple(codes.shape)}, wanted {wanted}")
                 bank._keep(node, codes, covered)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["AMPLITUDES", "BIN_SHIFT", "BankTables", "between", "decoded_codes", "depth_bins", "encoded"]
+__all__ = ["AMPLITUDES", "BIN_SHIFT", "BankTables", "amplitude_of", "between", "decoded_codes", "depth_bins", "encoded"]
 
 # Optical depth by a code of 8 bits: FAINT (exp(STEP q) - 1), steps of 4 %; 8 covers all but 3e-4 of a pixel.
 FAINT, LARGEST = 2e-4, 8.0
@@ -69,3 +69,17 @@ def between(covered: Any, amplitude: Any) -> Any:
     share = (amplitude - nodes[cell]) / (nodes[cell + 1] - nodes[cell])
     row = np.arange(len(amplitude))
     return covered[row, cell] * (1 - share) + covered[row, cell + 1] * share
+
+
+def amplitude_of(deviation: Any, wanted: Any) -> Any:
+    """Amplitude at which layers have a standard deviation, the inverse of a rising table ``(bins, amplitudes)``.
+
+    Args:
+        deviation: at each of `AMPLITUDES`.
+        wanted: ``(bins,)``.
+    """
+    nodes, row = np.asarray(AMPLITUDES), np.arange(len(wanted))
+    cell = np.clip((deviation <= wanted[:, None]).sum(1) - 1, 0, len(nodes) - 2)
+    low, high = deviation[row, cell], deviation[row, cell + 1]
+    share = np.clip((wanted - low) / np.maximum(high - low, 1e-30), 0.0, 1.0)
+    return nodes[cell] + share * (nodes[cell + 1] - nodes[cell])
