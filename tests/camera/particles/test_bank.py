@@ -17,6 +17,7 @@ import torchweather as tw
 from torchweather.camera.particles.bank import _KEPT, MOST_BYTES, STORMS, DrawBank
 from torchweather.camera.particles.bank_codes import BIN_SHIFT, decoded_codes, encoded
 from torchweather.core.compiled import SWITCH
+from torchweather.core.errors import TorchweatherWarning
 from torchweather.core.exceptions import InputValueError, TorchweatherError
 from torchweather.core.random import draw_variates
 from torchweather.stages import EFFECTS
@@ -330,17 +331,22 @@ def test_a_worker_takes_the_bank_that_it_is_handed() -> None:
     assert DrawBank.shared(bank.weather, CAMERA, most_bytes=2_000_000) is again
 
 
-def test_memory_is_bounded() -> None:
+def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert DrawBank("rain", tw.Camera.preset("lucid-triton")).most_bytes == MOST_BYTES
     for camera in (CAMERA, tw.Camera.preset("lucid-triton"), tw.Camera.preset("lucid-triton").fitted_to(1242, 375)):
         bank = DrawBank("snow", camera)
         assert bank.most_rates * bank.layers * STORMS * bank.size[0] * bank.size[1] <= MOST_BYTES
     small = few_layers()
     codes = torch.zeros(STORMS, small.layers * small.size[0] * small.size[1], dtype=torch.uint8)
-    for node in range(small.most_rates + 3):
+    for node in range(small.most_rates + 4):
         small._keep(node, codes.clone(), torch.zeros(0))
     assert small.number_of_bytes <= 2_000_000
-    assert list(small._codes) == list(range(3, small.most_rates + 3))  # those of long ago are dropped
+    assert list(small._codes) == list(range(4, small.most_rates + 4))  # those of long ago are dropped
+    large = DrawBank("rain", tw.Camera.preset("lucid-triton"))
+    assert large.node_of(50.0) - large.node_of(1.0) < large.most_rates  # the default rates are rendered once
+    monkeypatch.setattr(small, "codes", lambda node: None)
+    with pytest.warns(TorchweatherWarning, match="do not fit"):
+        small.prepare(1.0, small.rate_ratio**small.most_rates)
     with pytest.raises(InputValueError, match="most_bytes"):
         DrawBank("rain", tw.Camera.preset("lucid-triton"), most_bytes=2_000_000)
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import warnings
 from collections import OrderedDict
 from dataclasses import replace
 from functools import lru_cache
@@ -39,7 +40,13 @@ from torchweather.camera.particles.tables import MarkOptics, particle_tables
 from torchweather.camera.sensor import Camera
 from torchweather.core.archives import read_archive, write_archive
 from torchweather.core.arguments import check_arguments
-from torchweather.core.errors import InputValueError, TorchweatherError, check_at_least, check_between
+from torchweather.core.errors import (
+    InputValueError,
+    TorchweatherError,
+    TorchweatherWarning,
+    check_at_least,
+    check_between,
+)
 from torchweather.core.random import Variate
 from torchweather.core.threads import one_thread_an_operation
 
@@ -47,7 +54,10 @@ __all__ = ["STORMS", "DrawBank"]
 
 FORMAT = "torchweather-bank/1"
 STORMS = 2  # of half of the particles each, which a sample adds
-RATE_RATIO = 1.4  # of neighbouring rates; half a step changes the standard deviation by 8 %
+# Of neighbouring rates: half a step of 1.4 changes the standard deviation by 8 %; larger frames take larger steps.
+RATE_RATIOS = (1.4, 1.7, 2.0)
+RATE_RANGE = 50.0  # over which all rates fit into the memory
+ENOUGH_LAYERS = 5
 MOST_LAYERS = 15
 MOST_BYTES = 200_000_000
 FEWEST_LAYERS = 3
@@ -65,7 +75,7 @@ class DrawBank:
 
     Statistics over many samples are those of the exact path: mean transmission within 1 %, standard deviation of the
     covered share within 5 %, correlation of neighbouring pixels within 0.05 and the 99.9 % quantile within 10 %, for
-    scenes beyond twice ``near_m``. Nearer scenes get the mean alone. Rates below 0.1 mm/h get fainter marks instead of
+    frames up to 1242 x 375 and scenes beyond twice ``near_m``. Nearer scenes get the mean alone. Rates below 0.1 mm/h get fainter marks instead of
     fewer.
 
     Args:
@@ -186,12 +196,13 @@ class DrawBank:
         x, y, _ = self.camera.ray_directions()
         self._mean_ray = float(torch.sqrt(1 + x.square() + y.square()).mean())
         whole = math.floor(self.most_bytes / (self.size[0] * self.size[1] * STORMS))  # layers of all rates
-        rates = math.ceil(math.log(50.0) / math.log(RATE_RATIO)) + 2
-        self.layers = min(MOST_LAYERS, whole // rates)
-        self.most_rates = max(1, whole // max(self.layers, 1))
-        if self.layers < FEWEST_LAYERS:
-            self.layers = min(MOST_LAYERS, max(FEWEST_LAYERS, whole // 4))
-            self.most_rates = whole // self.layers
+        for self.rate_ratio in RATE_RATIOS:
+            rates = math.ceil(math.log(RATE_RANGE) / math.log(self.rate_ratio)) + 2
+            self.layers = min(MOST_LAYERS, whole // rates)
+            if self.layers >= ENOUGH_LAYERS:
+                break
+        self.layers = max(self.layers, FEWEST_LAYERS)
+        self.most_rates = whole // self.layers
         if self.most_rates < 2:
             raise InputValueError(
                 f"DrawBank: most_bytes={self.most_bytes:g} holds no two rates of {self.size[1]} x {self.size[0]} px; "
@@ -232,7 +243,7 @@ class DrawBank:
         return MarkOptics(self.camera.exposure_s, self.camera.aperture_m, focus, self.camera.lens_blur_px)
 
     def __repr__(self) -> str:
-        held = ", ".join(f"{RATE_RATIO**node:.3g}" for node in sorted(self._codes)) or "none yet"
+        held = ", ".join(f"{self.rate_ratio**node:.3g}" for node in sorted(self._codes)) or "none yet"
         return (
             f"DrawBank({self.weather.kind!r}, {self.camera.width} x {self.camera.height} px, training quality, "
             f"{self.layers} layers, rates {held} mm/h)"
@@ -253,7 +264,7 @@ class DrawBank:
                 f"got {rate_mm_per_h:g}. Build the bank or the transform with rate_capacity_mm_per_h={rate_mm_per_h:g} "
                 "or more."
             )
-        return round(math.log(max(rate_mm_per_h, LOWEST_MM_PER_H)) / math.log(RATE_RATIO))
+        return round(math.log(max(rate_mm_per_h, LOWEST_MM_PER_H)) / math.log(self.rate_ratio))
 
     def prepare(self, lowest_mm_per_h: float, highest_mm_per_h: float) -> DrawBank:
         """Render the storms of all rates in a range now, before workers start.
@@ -268,6 +279,14 @@ class DrawBank:
             "DrawBank.prepare(lowest_mm_per_h: float, highest_mm_per_h: float)", lowest_mm_per_h, highest_mm_per_h
         )
         first, last = self.node_of(float(lowest_mm_per_h)), self.node_of(float(highest_mm_per_h))
+        if last - first >= self.most_rates:
+            warnings.warn(
+                f"DrawBank: {last - first + 1} rates from {lowest_mm_per_h:g} to {highest_mm_per_h:g} mm/h do not fit "
+                f"into most_bytes={self.most_bytes:g}, which holds {self.most_rates}; the others are rendered anew at "
+                "each use, which takes a second. Give a smaller range, or a bank with more most_bytes.",
+                TorchweatherWarning,
+                stacklevel=2,
+            )
         for node in range(first, last + 1)[-self.most_rates :]:
             self.codes(node)
         return self
@@ -280,7 +299,7 @@ class DrawBank:
         return self._codes[node]
 
     def _render(self, node: int) -> None:
-        rate = min(RATE_RATIO**node, self.rate_capacity_mm_per_h)
+        rate = min(self.rate_ratio**node, self.rate_capacity_mm_per_h)
         population = Population(
             replace(self.weather, rate_mm_per_h=rate),
             replace(self.camera, width=self.size[1], height=self.size[0], cx=None, cy=None),
@@ -331,7 +350,7 @@ class DrawBank:
         node = self.node_of(rate_mm_per_h)
         self.codes(node)
         mean, variance = self._moments(rate_mm_per_h)
-        _, at_node = self._moments(min(RATE_RATIO**node, self.rate_capacity_mm_per_h))
+        _, at_node = self._moments(min(self.rate_ratio**node, self.rate_capacity_mm_per_h))
         layer = np.maximum(self._layer, 0)
         tables = self._covered[node].numpy()[:, :, layer].sum(1)  # (2, bins, amplitudes), of all storms
         covered, deviation = tables[0], np.sqrt(tables[1])
