@@ -75,8 +75,8 @@ class DrawBank:
 
     Statistics over many samples are those of the exact path: mean transmission within 1 %, standard deviation of the
     covered share within 5 %, correlation of neighbouring pixels within 0.05 and the 99.9 % quantile within 10 %, for
-    frames up to 1242 x 375 and scenes beyond twice ``near_m``. Nearer scenes get the mean alone. Rates below 0.1 mm/h get fainter marks instead of
-    fewer.
+    frames up to 1242 x 375 and scenes beyond twice ``near_m``. Nearer scenes get the mean alone. Rates below 0.1 mm/h
+    get fainter marks instead of fewer.
 
     Args:
         weather: ``Rain`` or ``Snow``, or ``"rain"`` or ``"snow"``; the rate does not matter.
