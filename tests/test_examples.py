@@ -57,7 +57,10 @@ RUNS: dict[str, tuple[list[str], list[str]]] = {
     ),
     "carla_in_weather.py": (["--width", "160", "--frames", "2", "--out", "carla.png"], ["carla.png"]),
     "train_in_weather.py": (
-        ["--quick", "--out", "trained"],
+        [
+            *("--quick", "--width", "64", "--steps", "2", "--train", "2", "--test", "1"),
+            *("--cloud-train", "1", "--cloud-test", "1", "--out", "trained"),
+        ],
         [f"trained/train_in_weather.{ending}" for ending in ("json", "png")],
     ),
     "rehearse_study.py": (

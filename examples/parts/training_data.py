@@ -1,34 +1,41 @@
-"""Samples and batches of two trainings: cars in raw frames, classes of the points of a scan."""
+"""Samples of two trainings: pictures of streets with a class for each pixel, scans with a class for each point."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import torch
-from parts import car_detector
-from parts.car_detector import Batch, Frame, picture
 from parts.lidar_segmenter import NONE, WEATHER, Cloud
 from torch import Tensor
-from torch.utils.data import DataLoader, RandomSampler
 
 import torchweather as tw
+from torchweather.core.random import sample_seed
 
 BATCH = 4
 
 
-def camera_samples(frames: list[Frame]) -> list[dict[str, Any]]:
-    parts = [car_detector.targets(each) for each in frames]
+def picture_samples(streets: list[Any]) -> list[tuple[Tensor, Tensor, Tensor]]:
+    """Pictures ``(3, H, W)`` uint8, depth ``(1, H, W)`` and classes ``(H, W)``."""
     return [
-        {"image": each.bayer, "depth": each.depth_m, "targets": part} for each, part in zip(frames, parts, strict=True)
+        (
+            torch.from_numpy(each.picture).permute(2, 0, 1).contiguous(),
+            torch.from_numpy(each.depth_m)[None].float(),
+            torch.from_numpy(each.classes),
+        )
+        for each in streets
     ]
 
 
-def camera_batches(loader: DataLoader[Any], camera: tw.Camera) -> Iterator[Batch]:
-    for samples in loader:
-        seen = torch.stack([picture(sample["image"], camera) for sample in samples])
-        positive, counts, edges = (torch.stack([sample["targets"][k] for sample in samples]) for k in range(3))
-        yield seen, positive, counts, edges
+def picture_batches(samples: list[Any], arm: Any, seed: int, steps: int) -> Iterator[tuple[Tensor, Tensor]]:
+    """Batches of samples drawn at random, each in the arm's weather; the order is that of all arms."""
+    order = np.random.default_rng(seed)
+    for step in range(steps):
+        chosen = [samples[k] for k in order.integers(0, len(samples), BATCH)]
+        seeds = [sample_seed(seed, step * BATCH + k) for k in range(BATCH)]
+        seen = [arm(picture, depth, one) for (picture, depth, _), one in zip(chosen, seeds, strict=True)]
+        yield torch.stack(seen), torch.stack([classes for *_, classes in chosen])
 
 
 def cloud_samples(clouds: list[Cloud]) -> list[dict[str, Any]]:
@@ -44,17 +51,12 @@ def relabelled(sample: dict[str, Any], results: dict[str, Any]) -> dict[str, Any
     return {**sample, "classes": torch.where(kind == tw.PointKind.LOST, NONE, classes)}
 
 
-def lidar_batches(loader: DataLoader[Any]) -> Iterator[tuple[Tensor, Tensor]]:
-    for samples in loader:
-        yield torch.stack([one["points"] for one in samples]), torch.stack([one["classes"] for one in samples])
-
-
-def loader_of(
-    samples: list[dict[str, Any]], transform: tw.Compose, seed: int, steps: int, after: Any = None
-) -> DataLoader[Any]:
-    """Batches of samples drawn at random, each in a weather of its own, whoever draws it again."""
-    order = torch.Generator().manual_seed(seed)
-    draws = RandomSampler(range(steps * BATCH), replacement=False, generator=order)
-    repeated = [samples[k % len(samples)] for k in range(steps * BATCH)]
-    data = tw.WeatherDataset(repeated, transform, seed=seed, after=after)
-    return DataLoader(data, batch_size=BATCH, sampler=draws, collate_fn=list)
+def cloud_batches(
+    samples: list[dict[str, Any]], arm: Callable[..., Any], seed: int, steps: int
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Points ``(B, N, 5)`` and classes ``(B, N)`` of samples drawn at random, each in the arm's weather."""
+    order = np.random.default_rng(seed)
+    for step in range(steps):
+        chosen = [samples[k] for k in order.integers(0, len(samples), BATCH)]
+        seen = [arm(one, sample_seed(seed, step * BATCH + k)) for k, one in enumerate(chosen)]
+        yield torch.stack([one["points"] for one in seen]), torch.stack([one["classes"] for one in seen])
