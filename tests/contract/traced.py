@@ -70,11 +70,11 @@ def _silent(trace: Trace, method: Any) -> Any:
 
 
 def _runner(trace: Trace, call: Any) -> Any:
-    def run(self: Stage, state: PartedState, *noise: Any) -> Any:
+    def run(self: Stage, state: PartedState, *noise: Any, **options: Any) -> Any:
         trace.running.append(type(self))
         trace.runs[type(self)] += 1
         try:
-            after = call(self, state, *noise)
+            after = call(self, state, *noise, **options)
         finally:
             trace.running.pop()
         trace.writes[type(self)].update(_differing(state, after))
