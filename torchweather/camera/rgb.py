@@ -268,6 +268,10 @@ class AsBayer(nn.Module):
             return self._inner(height, width).draw(frame, None, generator, seed, at_rate=at_rate)
         return self.transform.drawn(rgb.shape[:-3], sizes_of(height, width, 3), generator, seed, at_rate=at_rate)
 
+    def draw_for_call(self, value: Tensor, seed: int) -> dict[str, Tensor]:
+        """Noise of one image for one call at the present rates."""
+        return self.draw(value, seed=seed, at_rate=True)
+
     @outside_autocast
     def draw_sequence(
         self,

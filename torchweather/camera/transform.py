@@ -420,6 +420,10 @@ class BayerWeather(WeatherTransform):
         check_bayer(bayer, self.camera, self)
         return self.drawn(bayer.shape[:-3], sizes_of(*bayer.shape[-2:]), generator, seed, at_rate=at_rate)
 
+    def draw_for_call(self, value: Tensor, seed: int) -> dict[str, Tensor]:
+        """Noise of one sample for one call at the present rates."""
+        return self.draw(value, seed=seed, at_rate=True)
+
     @outside_autocast
     def draw_sequence(
         self,

@@ -131,7 +131,7 @@ class _Work:
         scene = scene_of(self._depth(frame, rgb), camera, height, width, image=image)
         for sentence in scene.notes:
             self._say(f"{frame.name}: {sentence}." if self.plan.depth is None else "")
-        noise = transform.draw(image, seed=seed)
+        noise = transform.draw(image, seed=seed, at_rate=True)
         result = transform.run(image, scene, noise)
         return result, transform, scene
 

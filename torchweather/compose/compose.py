@@ -378,7 +378,7 @@ class Compose(nn.Module):
             if found is not None:
                 return found
         transform = self._transform(key, spec, draw.weather, drawn, value.device)
-        noise = transform.draw(value, seed=derived_seed(draw.seed, key))
+        noise = transform.draw_for_call(value, derived_seed(draw.seed, key))
         inner = transform.transform if spec.rgb else transform
         for name, stage in inner.chain.stages.items():
             if stage.air_variates():

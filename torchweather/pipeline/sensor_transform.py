@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -299,6 +299,11 @@ class WeatherTransform(AtLeastSingle):
         flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == tuple(batch) else seed
         drawn = self.chain.draw(Sizes(math.prod(batch), sizes), generator, flat_seed, at_rate=at_rate)
         return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
+
+    def draw_for_call(self, value: Tensor, seed: int) -> dict[str, Tensor]:
+        """Noise of one sample for one call: what the present rates need, where a draw may serve others too."""
+        noise: dict[str, Tensor] = cast(Any, self).draw(value, seed=seed)
+        return noise
 
     def _flat_noise(
         self, noise: Mapping[str, Tensor], state: State, batch: Sequence[int] | None = None
