@@ -7,6 +7,8 @@ import os
 import pytest
 import torch
 
+from tests.long_cases import listed
+
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # read as numpy is loaded
 
 # Deliberate breaks and records are of torch's path. TORCHWEATHER_COMPILED=1 runs every test on the compiled one.
@@ -23,3 +25,12 @@ def pytest_configure(config: pytest.Config) -> None:
         for name in THREADS:
             os.environ.setdefault(name, str(max(1, (os.cpu_count() or 1) // len(workers))))
         os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # a thread that waits leaves its core to the other process
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Cases of many seconds beside cheaper ones of the same test are left to `-m long`."""
+    left_out = listed()
+    for item in items:
+        if item.nodeid in left_out:
+            item.add_marker(pytest.mark.long)

@@ -1,0 +1,103 @@
+"""Cases that cost many seconds beside cheaper ones of the same test: `-m long` runs them, a plain run does not.
+
+    python -m pytest -n 0 -p tests.long_cases --case-times times.json    # processor seconds of every case
+    python -m tests.long_cases times.json                                # choose anew, write long_cases.txt
+
+Every test keeps its cheapest case and every case that a deliberate break names (``tests/mutants``).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+LIST = Path(__file__).with_name("long_cases.txt")
+WORTH_S = 0.7  # processor seconds from which on a case is left to `-m long`
+MOST_KEPT_S = 2.0  # of one test: cases are kept, cheapest first, up to this sum
+
+
+def listed() -> frozenset[str]:
+    """Node ids of the list."""
+    return frozenset(LIST.read_text(encoding="utf-8").splitlines())
+
+
+def chosen(seconds: dict[str, float], named: frozenset[str]) -> list[str]:
+    """Node ids that are left to `-m long`.
+
+    Args:
+        seconds: node id to processor seconds.
+        named: node ids that have to stay.
+    """
+    cases: dict[str, list[tuple[float, str]]] = defaultdict(list)
+    for node, cost in seconds.items():
+        if "[" in node and "::" in node:
+            cases[node.partition("[")[0]].append((cost, node))
+    left_out = []
+    for some in cases.values():
+        kept_s = 0.0
+        for number, (cost, node) in enumerate(sorted(some)):
+            fits = number == 0 or cost < WORTH_S or kept_s + cost <= MOST_KEPT_S
+            if fits or node in named:
+                kept_s += cost
+            else:
+                left_out.append(node)
+    return sorted(left_out)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Where the times go."""
+    parser.addoption("--case-times", type=Path, default=None, help="JSON of processor seconds, a file for each worker")
+
+
+class _Times:
+    def __init__(self, file: Path) -> None:
+        self.file, self.seconds = file, {}  # type: ignore[var-annotated]
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[object]:
+        """Processor seconds of one case and of the processes that it starts."""
+        before = _used_s()
+        found = yield
+        self.seconds[item.nodeid] = round(_used_s() - before, 3)
+        return found
+
+    def pytest_sessionfinish(self) -> None:
+        """Write what was measured."""
+        self.file.write_text(json.dumps(self.seconds), encoding="utf-8")
+
+
+def _used_s() -> float:
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Measure where it is asked for."""
+    file = config.getoption("--case-times", default=None)
+    if file is not None:
+        worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+        config.pluginmanager.register(_Times(file.with_name(f"{file.stem}{worker}{file.suffix}")))
+
+
+def main() -> None:
+    """Choose anew from files of times."""
+    from tests.mutants.rooms import ROOMS
+
+    seconds: dict[str, float] = {}
+    for name in sys.argv[1:]:
+        seconds |= json.loads(Path(name).read_text(encoding="utf-8"))
+    named = frozenset(node for room in ROOMS.values() for mutant in room for node in mutant.tests)
+    nodes = chosen(seconds, named)
+    LIST.write_text("".join(f"{node}\n" for node in nodes), encoding="utf-8")
+    saved = sum(seconds[node] for node in nodes)
+    print(f"{len(nodes)} of {len(seconds)} cases, {saved:.0f} of {sum(seconds.values()):.0f} processor seconds")
+
+
+if __name__ == "__main__":
+    main()
