@@ -41,12 +41,12 @@ def expected(points: Tensor, sensor: Lidar, weather: str = STORM, seed: int = 0,
     return transform.run(points, transform.draw(points, seed=seed))
 
 
-@pytest.mark.parametrize("name", ["a.bin", "a.pcd.bin", "a.pcd", "a.ply", "a.npz", "a.csv"])
 def without_open_air(said: str) -> list[str]:
     """Lines of standard error beside the share of beams into open air."""
     return [line for line in said.splitlines() if "beams into open air" not in line]
 
 
+@pytest.mark.parametrize("name", ["a.bin", "a.pcd.bin", "a.pcd", "a.ply", "a.npz", "a.csv"])
 def test_a_cloud_comes_back_in_its_format_with_what_the_transform_gives(run: Any, tmp_path: Path, name: str) -> None:
     points = cloud(4 if name == "a.bin" else 5)
     write_points(tmp_path / name, points)

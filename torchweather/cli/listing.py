@@ -73,7 +73,7 @@ def everything() -> dict[str, Any]:
             {"name": kind, "fields": list(one.ranges)} for kind, one in weather_kinds().items() if kind not in WEATHERS
         ],
         "size_distributions": {"rain": sorted(RAIN), "fog": sorted({*FOG, REHEARSE}), "snow": sorted(SNOW)},
-        "stages": sorted(STAGES),
+        "stages": sorted(name for name, kind in STAGES.items() if kind.__module__.startswith("torchweather.")),
     }
 
 

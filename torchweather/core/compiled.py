@@ -1,4 +1,4 @@
-"""Functions compiled by numba, where it is installed (``pip install torchweather[fast]``).
+"""Functions compiled by numba, where it is installed (extra ``fast``).
 
 numba is imported at the first use of a compiled function, never at the import of the library. Machine code is kept on
 disk beside the source or, where that folder cannot be written, in the user's cache; where neither can be written it
@@ -40,7 +40,7 @@ def compiled_path() -> str:
     """One word on the path that renders particles on the processor: ``numba``, ``torch`` and why."""
     if uses_compiled():
         return "numba"
-    return f"torch ({SWITCH}=0)" if _installed() else "torch (numba is not installed: pip install torchweather[fast])"
+    return f"torch ({SWITCH}=0)" if _installed() else "torch (numba, of the extra fast, is not installed)"
 
 
 def jit(function: F) -> F:

@@ -242,7 +242,7 @@ def test_the_switch_and_what_is_installed_choose_the_path(monkeypatch: pytest.Mo
     monkeypatch.delenv(switch.SWITCH)
     assert switch.uses_compiled()
     monkeypatch.setattr(switch, "_installed", lambda: False)
-    assert "rendered by torch (numba is not installed: pip install" in repr(transform)
+    assert "rendered by torch (numba, of the extra fast, is not installed)" in repr(transform)
 
 
 def test_the_switch_leaves_numba_unimported(monkeypatch: pytest.MonkeyPatch) -> None:

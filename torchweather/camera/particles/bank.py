@@ -465,7 +465,7 @@ class DrawBank:
         try:
             config = json.loads(str(arrays.pop("config")))
             if config.pop("format") != FORMAT:
-                raise ValueError("another version")
+                raise InputValueError("another version")
             weather: Any = weather_from_dict(config.pop("weather"))
             bank = cls(weather, Camera.from_dict(config.pop("camera")), **config)
             for name in [name for name in arrays if name.startswith("codes_")]:
@@ -474,7 +474,7 @@ class DrawBank:
                 wanted = (STORMS, bank.layers * bank.size[0] * bank.size[1])
                 layers = (2, STORMS, bank.layers, len(AMPLITUDES))
                 if codes.dtype != torch.uint8 or tuple(codes.shape) != wanted or tuple(covered.shape) != layers:
-                    raise ValueError(f"{name} has shape {tuple(codes.shape)}, wanted {wanted}")
+                    raise InputValueError(f"{name} has shape {tuple(codes.shape)}, wanted {wanted}")
                 bank._keep(node, codes, covered)
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise TorchweatherError(
