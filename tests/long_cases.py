@@ -3,7 +3,7 @@
     python -m pytest -n 0 -p tests.long_cases --case-times times.json    # processor seconds of every case
     python -m tests.long_cases times.json                                # choose anew, write long_cases.txt
 
-Every test keeps its cheapest case and every case that a deliberate break names (``tests/mutants``).
+Every test keeps its cheapest case; a test that a deliberate break names (``tests/mutants``) keeps all.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from pathlib import Path
 import pytest
 
 LIST = Path(__file__).with_name("long_cases.txt")
-WORTH_S = 0.7  # processor seconds from which on a case is left to `-m long`
-MOST_KEPT_S = 2.0  # of one test: cases are kept, cheapest first, up to this sum
+WORTH_S = 0.3  # processor seconds from which on a case is left to `-m long`
+MOST_KEPT_S = 0.6  # of one test: cases are kept, cheapest first, up to this sum
+
+KEPT_WHOLE = ("tests/behaviour/", "tests/test_docs", "tests/test_examples")  # each case is a test of its own
 
 
 def listed() -> frozenset[str]:
@@ -32,18 +34,19 @@ def chosen(seconds: dict[str, float], named: frozenset[str]) -> list[str]:
 
     Args:
         seconds: node id to processor seconds.
-        named: node ids that have to stay.
+        named: tests that keep all cases.
     """
     cases: dict[str, list[tuple[float, str]]] = defaultdict(list)
     for node, cost in seconds.items():
-        if "[" in node and "::" in node:
-            cases[node.partition("[")[0]].append((cost, node))
+        test, bracket, _ = node.partition("[")
+        if bracket and "::" in test and test not in named and not test.startswith(KEPT_WHOLE):
+            cases[test].append((cost, node))
     left_out = []
     for some in cases.values():
         kept_s = 0.0
         for number, (cost, node) in enumerate(sorted(some)):
             fits = number == 0 or cost < WORTH_S or kept_s + cost <= MOST_KEPT_S
-            if fits or node in named:
+            if fits:
                 kept_s += cost
             else:
                 left_out.append(node)
@@ -92,7 +95,7 @@ def main() -> None:
     seconds: dict[str, float] = {}
     for name in sys.argv[1:]:
         seconds |= json.loads(Path(name).read_text(encoding="utf-8"))
-    named = frozenset(node for room in ROOMS.values() for mutant in room for node in mutant.tests)
+    named = frozenset(node.partition("[")[0] for room in ROOMS.values() for mutant in room for node in mutant.tests)
     nodes = chosen(seconds, named)
     LIST.write_text("".join(f"{node}\n" for node in nodes), encoding="utf-8")
     saved = sum(seconds[node] for node in nodes)
