@@ -60,7 +60,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 class _Times:
     def __init__(self, file: Path) -> None:
-        self.file, self.seconds = file, {}  # type: ignore[var-annotated]
+        self.file = file
+        self.seconds: dict[str, float] = {}
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[object]:

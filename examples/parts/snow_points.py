@@ -1,4 +1,4 @@
-"""How well snow is told from objects in a scan: average precision of scores, and the rule that needs no training."""
+"""Snow against objects in a scan: average precision of a net's scores, and a rule that needs no training."""
 
 from __future__ import annotations
 

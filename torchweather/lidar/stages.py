@@ -663,7 +663,7 @@ def _echoes_of_table(
     Args:
         part, beam, reach_m, arrival, place, density: as of ``_echoes``.
         table: the solutions.
-        faintest: signal from which on an echo counts; ``None``: all that the table knows.
+        faintest: signal of the faintest echo that counts; ``None`` counts every echo of the table.
     """
     of_samples = [
         _echoes_of_beams(

@@ -85,7 +85,7 @@ class Stage(AtLeastSingle):
             state: gives the number of samples and the sizes.
             generator, seed: of the samples.
             name: of the stage in its chain.
-            at_rate: draw only what the present intensities need; of all that is drawn for any intensity, it is a part.
+            at_rate: draw only what the present intensities need: the first part of a draw for any intensity.
             written: as in ``variates_at_rate``.
         """
         seeds = list(seed) if isinstance(seed, Sequence) else sample_seeds((state.batch,), generator, seed)

@@ -32,7 +32,7 @@ def camera_of(height: int = 64, width: int = 96, **more: Any) -> tw.Camera:
 
 
 def depth_of(camera: tw.Camera, kind: str) -> Tensor:
-    """A wall that is near or far, or a wall with a nearer half, the sky above it."""
+    """A wall at one depth, or a wall whose one half is nearer, below the sky."""
     depth = torch.full((1, camera.height, camera.width), 4.0 if kind == NEAR else 150.0)
     if kind == STEPS:
         depth[..., camera.width // 2 :] = 9.0
