@@ -206,6 +206,7 @@ def test_fog_of_a_known_visibility_is_found_again_in_a_made_recording(tmp_path: 
     assert report["mor_m_at_least"] == pytest.approx(350.0, rel=0.04)
 
 
+@pytest.mark.long  # beside the made recordings above
 @pytest.mark.real_data
 @pytest.mark.parametrize("name", list(MEASURED))
 def test_the_model_is_held_against_the_recordings(name: str, tmp_path: Path) -> None:

@@ -16,8 +16,14 @@ from tests.behaviour.record import RECORD, answered, differs, machine
 RECORDED = json.loads(RECORD.read_text(encoding="utf-8"))
 
 
+# Beside graphs that give what torch gives (tests/export) and studies that name what is hidden (tests/gap).
+COSTLY = ("graphs/camera", "graphs/lidar", "graphs/radar", "studies/camera", "studies/lidar")
+
+
 @pytest.mark.filterwarnings("ignore")  # of the exporter
-@pytest.mark.parametrize("name", list(cases()))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] if name in COSTLY else []) for name in cases()]
+)
 def test_the_answer_is_the_recorded_one(name: str) -> None:
     found, recorded = answered(name), RECORDED["cases"][name]
     assert not differs(name, found, recorded, machine() == RECORDED["machine"]), (found, recorded)

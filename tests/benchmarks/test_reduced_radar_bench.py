@@ -12,9 +12,6 @@ from benchmarks.gap_bench.generator.radar.cases import SENSOR, plan
 from torchweather.gap import find_gap
 
 CASES = plan("ci", 1, ["reduced"], small=True)
-# All eight take minutes: what is not run in every test run is run by `pytest -m long`.
-EVERY_TIME = (2,)
-ALL = [pytest.param(case, marks=[] if place in EVERY_TIME else [pytest.mark.long]) for place, case in enumerate(CASES)]
 RELATIVE = 0.3  # 64 targets: a d' of 30 is known to a few percent, its form to a fifth
 
 
@@ -23,7 +20,17 @@ def build():
     return SENSOR.builder("ci", 1, Path(__file__).parent / "radar_places", CASES, True)
 
 
-@pytest.mark.parametrize("case", ALL, ids=lambda case: "-".join([case.family, case.weather, *case.names]))
+def test_a_study_is_made_with_what_is_hidden_in_it(build):
+    """What `find_gap` makes of a study of each kind: tests/gap/sensors/radar/test_radar_frames.py, and below."""
+    case = CASES[2]
+    study, truth = build(case)
+    assert [effect["name"] for effect in truth["effects"]] == list(case.names)
+    assert {condition.split for condition in study.conditions} == {"fit", "holdout"}
+    assert all(len(condition.frames) > 1 for condition in study.conditions)
+
+
+@pytest.mark.long  # minutes
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join([case.family, case.weather, *case.names]))
 def test_a_study_of_the_reduced_bench(case, build):
     study, truth = build(case)
     found = find_gap(study, seed=0).to_dict()

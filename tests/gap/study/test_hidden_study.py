@@ -254,7 +254,7 @@ def test_a_radar_whose_noise_grows_in_rain_detects_more(suspicions: Any) -> None
     assert lowest >= -125.0 + 12.0
 
 
-@pytest.mark.slow
+@pytest.mark.long  # beside the studies of tests/gap/sensors/radar/test_radar_frames.py
 def test_the_noise_of_d3_4_is_found_and_named(suspicions: Any) -> None:
     suspicion = suspicions.SUSPICIONS["noise"]
     report_ = find_gap(suspicions.radar_study(suspicion.effects, suspicions.NOISE_UP_DB, 0).study)

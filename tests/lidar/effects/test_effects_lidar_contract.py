@@ -12,6 +12,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from tests.fake_trace import as_exported, traced_shapes
 from tests.lidar.effects.effect_scene import (
     ACTIVE,
     BEAMS,
@@ -518,13 +519,38 @@ def test_the_reported_transmission_is_that_of_the_effects() -> None:
 # ---- export ------------------------------------------------------------------------------------------------------
 
 
+def with_all_effects_of_a_graph() -> LidarRain:
+    effects = [active(name) for name in LIDAR if name not in NOT_IN_A_GRAPH]
+    return LidarRain(Rain(50.0), scan_sensor(), effects=effects, beam_ends="max_range")
+
+
+def test_no_effect_looks_at_a_value_while_it_is_traced() -> None:
+    """The module that `to_onnx` hands over, with every effect that a graph can hold, on shapes alone."""
+    shapes = traced_shapes(traceable_lidar(with_all_effects_of_a_graph(), points=100, columns=4, directions=True))
+    assert shapes == [(2, 100, 4), (2, 100)]
+
+
+def test_the_branches_of_an_export_give_the_same_points() -> None:
+    transform = with_all_effects_of_a_graph()
+    noise = transform.draw(cloud(), seed=5)
+    wanted = transform.run(cloud(), noise, directions=directions())
+    with as_exported():
+        found = transform.run(cloud(), noise, directions=directions())
+    assert isinstance(wanted.kind, Tensor)
+    assert isinstance(wanted.points, Tensor)
+    assert isinstance(found.points, Tensor)
+    same = found.kind == wanted.kind
+    assert float(same.float().mean()) >= 1.0 - 1e-3  # as the graph below
+    assert float(((found.points - wanted.points).abs().amax(-1)[same] <= 1e-3).float().mean()) >= 1.0 - 2e-3
+
+
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_effects_are_exported_with_the_chain(tmp_path: Path) -> None:
     """One graph with every effect that a graph can hold, at settings that show."""
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    effects = [active(name) for name in LIDAR if name not in NOT_IN_A_GRAPH]
-    transform = LidarRain(Rain(50.0), scan_sensor(), effects=effects, beam_ends="max_range")
+    transform = with_all_effects_of_a_graph()
     to_onnx(transform, tmp_path / "rain.onnx", points=100, directions=True)
     session = onnxruntime.InferenceSession(tmp_path / "rain.onnx", providers=["CPUExecutionProvider"])
     points = cloud()
@@ -555,6 +581,7 @@ def test_effects_that_know_the_scans_rows_refuse_what_the_exporter_traces(name: 
         traced.module(*traced.arguments)
 
 
+@pytest.mark.long  # beside the radar's, whose exporter is the same
 def test_an_effect_that_cannot_be_exported_says_so_and_nothing_is_written(tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     transform = LidarRain(Rain(50.0), scan_sensor(), effects=[active(sorted(NOT_IN_A_GRAPH)[0])])

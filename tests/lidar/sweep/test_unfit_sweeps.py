@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -232,7 +233,19 @@ REFUSED: dict[str, tuple[Change, str]] = {
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
+EVERY_TIME = ("map's frame", "millimetres", "every second column", "rows of NaN")  # of KITTI, beside all made ones
+
+
+def _each_refused() -> list[Any]:
+    costly = [("kitti", name) for name in REFUSED if name not in EVERY_TIME]
+    cases = [(source, name) for source in ("made", "kitti") for name in REFUSED]
+    marks = {"kitti": [pytest.mark.real_data], "made": []}
+    return [
+        pytest.param(*case, marks=[*marks[case[0]], *([pytest.mark.long] if case in costly else [])]) for case in cases
+    ]
+
+
+@pytest.mark.parametrize(("given", "name"), _each_refused(), indirect=["given"])
 def test_an_unfit_sweep_is_refused_with_the_cause(given: Sweep, name: str) -> None:
     change, sentence = REFUSED[name]
     cloud, sensor = change(given)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import torch
 import yaml
 from torch import Tensor
 
+from tests.fake_trace import as_exported, traced_shapes
 from tests.radar.effects.radar_effect_scene import (
     ACTIVE,
     APPENDING,
@@ -29,6 +31,7 @@ from tests.radar.effects.radar_effect_scene import (
 )
 from torchweather.atmosphere.weather import Mixture, Rain, Snow
 from torchweather.export import draw_feed, to_onnx
+from torchweather.export.radar_graph import traceable_radar
 from torchweather.recipes import load_recipe, save_recipe
 from torchweather.stages import EFFECTS, Chain, PointKind, effect_from_dict, with_effects
 from torchweather.transforms import RadarAttenuation
@@ -411,18 +414,51 @@ def test_lost_targets_may_be_left_out_with_all_effects() -> None:
 # ---- export ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_effects_are_exported_with_the_chain(tmp_path: Path) -> None:
-    """One graph with every effect that a graph can hold, at settings that show; more targets than were traced."""
-    onnxruntime = pytest.importorskip("onnxruntime")
-    pytest.importorskip("onnxscript")
+# Reads what it derives of the sensor's frequency, which the exporter knows and a tensor without numbers does not.
+READS_A_CONSTANT = {"radar.road_spray"}
+
+
+def with_all_effects_of_a_graph(without: Collection[str] = ()) -> RadarAttenuation:
     settings: dict[str, dict[str, float]] = {
         "radar.detection_limit": {"max_count": 30.0},
         "radar.interference": {"level_db": 2.0},
         "radar.road_spray": {"water_g_per_m": 40.0},  # through which targets are seen
     }
-    effects = [active(name, **settings.get(name, {})) for name in RADAR if name not in NOT_IN_A_GRAPH]
-    transform = rain(effects=effects)
+    effects = [active(name, **settings.get(name, {})) for name in RADAR if name not in {*NOT_IN_A_GRAPH, *without}]
+    return rain(effects=effects)
+
+
+def test_no_effect_looks_at_a_value_while_it_is_traced() -> None:
+    """The module that `to_onnx` hands over, with every effect that a graph can hold, on shapes alone."""
+    transform = with_all_effects_of_a_graph(without=READS_A_CONSTANT)
+    shapes = traced_shapes(traceable_radar(transform, points=23, columns=7))
+    rows = shapes[0][1]
+    assert rows > 23  # clutter
+    assert shapes == [(2, rows, 7), (2, rows), (2, rows), (2, rows)]
+
+
+@pytest.mark.parametrize("all_effects", [True, False])
+def test_the_branches_of_an_export_give_the_same_list(all_effects: bool) -> None:
+    transform = with_all_effects_of_a_graph() if all_effects else lower_threshold()
+    noise = transform.draw(detections(), seed=5)
+    wanted = transform.run(detections(), noise)
+    with as_exported():
+        found = transform.run(detections(), noise)
+    for name in ("points", "kind", "snr_db"):
+        torch.testing.assert_close(getattr(found, name), getattr(wanted, name), rtol=0.0, atol=1e-4)
+
+
+def lower_threshold() -> RadarAttenuation:
+    return rain(effects=[EFFECTS["radar.cfar_shift"](shift_db=-4.0)])
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_effects_are_exported_with_the_chain(tmp_path: Path) -> None:
+    """One graph with every effect that a graph can hold, at settings that show; more targets than were traced."""
+    onnxruntime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    transform = with_all_effects_of_a_graph()
     to_onnx(transform, tmp_path / "rain.onnx", points=23, columns=7)
     session = onnxruntime.InferenceSession(tmp_path / "rain.onnx", providers=["CPUExecutionProvider"])
     points = detections()
@@ -439,11 +475,12 @@ def test_effects_are_exported_with_the_chain(tmp_path: Path) -> None:
     np.testing.assert_allclose(got[2], wanted.snr_db.numpy(), atol=1e-4)  # type: ignore[union-attr]
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_graph_lists_the_noise_of_a_lower_threshold(tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     onnxruntime = pytest.importorskip("onnxruntime")
-    transform = rain(effects=[EFFECTS["radar.cfar_shift"](shift_db=-4.0)])
+    transform = lower_threshold()
     to_onnx(transform, tmp_path / "rain.onnx", points=TARGETS + 5, columns=7)
     session = onnxruntime.InferenceSession(tmp_path / "rain.onnx")
     points = detections()

@@ -411,6 +411,7 @@ def test_nothing_is_found_where_nothing_is_missing(study: Study) -> None:
     assert find_gap(study).to_dict()["verdict"] == "none"
 
 
+@pytest.mark.long  # beside the study of tests/benchmarks/test_reduced_camera_bench.py, which names an effect too
 def test_own_data_recover_an_effect() -> None:
     effect = EFFECTS["camera.exposure_gain"](factor=1.03)
     found = find_gap(Study.from_arrays(**values_of([effect], seed=3))).to_dict()
