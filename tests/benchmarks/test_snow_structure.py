@@ -138,6 +138,7 @@ def test_what_the_page_claims_is_what_the_figures_say(bench: Any, report: dict[s
     assert ahead[2] > 2.0 * ahead[0]  # in front, from frame to frame
 
 
+@pytest.mark.long  # beside profiles of made snow
 @pytest.mark.real_data
 def test_the_profile_of_one_recorded_frame_holds_in_the_others(bench: Any, fit: Any, report: dict[str, Any]) -> None:
     folder = recording("wads_snow")

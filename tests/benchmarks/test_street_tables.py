@@ -36,7 +36,7 @@ print(json.dumps(made.table["lidar.window_loss"]["30"]))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long  # made once, with the committed table
 def test_a_table_follows_from_the_seed():
     # A strength goes through a whitening with small eigenvalues: by one thread of linear algebra it differs by 1.7 %
     # from what it is by two, with which the tables were made.

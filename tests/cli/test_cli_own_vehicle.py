@@ -119,6 +119,7 @@ def test_no_more_than_50_sweeps_are_taken_evenly() -> None:
     assert evenly_chosen(files[::-1]) == chosen
 
 
+@pytest.mark.long  # beside a folder of made sweeps
 @pytest.mark.real_data
 def test_kittis_sweeps_get_one_mask(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = recording("kitti_13/velodyne")

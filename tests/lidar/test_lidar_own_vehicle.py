@@ -167,6 +167,7 @@ def test_nuscenes_own_car_is_neither_lost_nor_weathered() -> None:
     assert bool((result.kind[none] == PointKind.LOST).all())
 
 
+@pytest.mark.long  # beside made sweeps
 @pytest.mark.real_data
 def test_kittis_own_car_keeps_its_bits_in_snow() -> None:
     files = sorted(recording("kitti_13/velodyne").glob("*.bin"))

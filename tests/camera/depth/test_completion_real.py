@@ -57,6 +57,7 @@ def left_out_errors(name: str) -> tuple[np.ndarray, np.ndarray]:
     return errors[0], errors[1]
 
 
+@pytest.mark.long  # beside made scenes in test_completion.py
 def test_left_out_rings_are_found_again_more_often_than_without_the_picture() -> None:
     pairs = [left_out_errors(name) for name in FRAMES]
     before, after = (np.concatenate(part) for part in zip(*pairs, strict=True))

@@ -45,7 +45,7 @@ def test_once_scattered_light_is_the_lidars_backscatter_of_the_illuminance() -> 
     assert found == pytest.approx(float(np.trapezoid(signal, range_m)), rel=0.05)
 
 
-@pytest.mark.parametrize("mor_m", [20.0, 50.0])
+@pytest.mark.parametrize("mor_m", [pytest.param(20.0, marks=pytest.mark.long), 50.0])
 def test_the_veil_of_headlamps_is_that_of_photons_traced_one_by_one(mor_m) -> None:
     left, _ = own_headlamps()
     distribution = tw.Fog(mor_m).distribution(mor_m)

@@ -93,7 +93,15 @@ def of_haze(wind: float, ego: float) -> tuple[Array, Array]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("wind", "ego"), [(0.0, 0.0), (3.0, 0.0), (0.0, 8.0), (3.0, 8.0)])
+@pytest.mark.parametrize(
+    ("wind", "ego"),
+    [
+        pytest.param(0.0, 0.0, marks=pytest.mark.long),
+        pytest.param(3.0, 0.0, marks=pytest.mark.long),
+        (0.0, 8.0),
+        (3.0, 8.0),
+    ],
+)
 def test_variance_and_correlation_are_those_of_single_streaks(wind: float, ego: float) -> None:
     still, moving = covariances(0.0, 0.0), covariances(wind, ego)
     ours_still, ours = of_haze(0.0, 0.0), of_haze(wind, ego)

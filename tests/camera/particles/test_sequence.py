@@ -242,7 +242,7 @@ def test_the_mask_of_the_last_frame_is_that_of_a_single_one(make: Any) -> None:
     given, seeds = frame(), 12
     first, last = [], []
     for seed in range(seeds):
-        film = list(transform.draw_sequence(given, 20, INTERVAL_S, seed=seed))
+        film = list(transform.draw_sequence(given, 8, INTERVAL_S, seed=seed))
         for noise, into in ((film[0], first), (film[-1], last)):
             mask = transform.run(given, noise=noise).particle_mask
             into.append((float(mask.mean()), float(mask.std())))

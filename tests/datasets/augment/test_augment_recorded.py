@@ -148,6 +148,7 @@ def check_frame(source: Path, target: Path, name: str, row: Row) -> dict[str, in
     }
 
 
+@pytest.mark.long  # beside made frames in test_augment.py
 @pytest.mark.parametrize("kind", WEATHERS)
 @pytest.mark.filterwarnings("ignore::torchweather.core.errors.TorchweatherWarning")
 def test_labels_of_recorded_frames_agree_with_what_the_weather_did(tmp_path: Path, kind: str) -> None:

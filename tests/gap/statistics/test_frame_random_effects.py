@@ -164,15 +164,15 @@ def shared() -> SimulatedDistribution:
 
 
 def test_what_conditions_of_a_scene_share_is_made_independent() -> None:
-    """Noise of each condition and one error of each scene's clear mean, drawn: 40,000 of them."""
-    search, at, rng, number = bare(), shared(), RNG(10), 40_000
+    """Noise of each condition and one error of each scene's clear mean, drawn: 10,000 of them."""
+    search, at, rng, number = bare(), shared(), RNG(10), 10_000
     own = rng.normal(size=(number, len(SCENES), SIZE))
     of_scene = {scene: rng.normal(size=(number, SIZE)) for scene in CLEAR}
     for place, (name, scene) in enumerate(SCENES.items()):
         own[:, place] = at.sd[name] * (own[:, place] + at.shared[name] * of_scene[scene])
     found = np.stack([search.whitened(at, list(one)) for one in own])
-    # 5 x sqrt(2 / 40,000) = 3.5 % on the diagonal.
-    np.testing.assert_allclose(found.T @ found / number, np.eye(found.shape[1]), atol=0.036)
+    # 5 x sqrt(2 / 10,000) = 7.1 % on the diagonal.
+    np.testing.assert_allclose(found.T @ found / number, np.eye(found.shape[1]), atol=0.071)
 
 
 def test_vectors_are_whitened_again_as_they_would_have_been() -> None:

@@ -124,6 +124,7 @@ def test_what_is_no_own_vehicle_is_refused() -> None:
             checked_own_vehicle(wrong, SENSOR, "LidarSnow")
 
 
+@pytest.mark.long  # beside made sweeps
 @pytest.mark.real_data
 def test_kittis_car_is_the_same_in_every_sweep() -> None:
     files = sorted(recording("kitti_13/velodyne").glob("*.bin"))
