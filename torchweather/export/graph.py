@@ -18,6 +18,7 @@ from torchweather.core.atomic import atomic_write
 from torchweather.core.errors import InputTypeError, InputValueError, MissingExtraError
 from torchweather.core.extras import install_hint
 from torchweather.export.camera_graph import BAYER_FORM, RGB_FORM
+from torchweather.export.decomposing import DecomposedByNode
 from torchweather.export.lidar_graph import LIDAR_FORM
 from torchweather.export.metadata import model_properties, set_properties
 from torchweather.export.radar_graph import MAP_FORM, RADAR_FORM
@@ -189,12 +190,19 @@ def _traced(traceable: Traceable) -> Any:
     with torch.no_grad(), warnings.catch_warnings():
         # The exporter's own: deprecated calls inside torch, and inputs that it names by position.
         warnings.simplefilter("ignore")
+        # As torch.onnx.export does it: a size of 0 or 1 is no case of its own.
+        with torch.fx.experimental._config.patch(backed_size_oblivious=True):  # type: ignore[attr-defined]
+            traced = torch.export.export(
+                traceable.module,
+                traceable.arguments,
+                dynamic_shapes=traceable.dynamic_shapes,
+                strict=False,
+                prefer_deferred_runtime_asserts_over_guards=True,
+            )
         program = torch.onnx.export(
-            traceable.module,
-            traceable.arguments,
+            DecomposedByNode.of(traced),
             input_names=traceable.inputs,
             output_names=traceable.outputs,
-            dynamic_shapes=traceable.dynamic_shapes,
             opset_version=OPSET,
             dynamo=True,
             optimize=False,

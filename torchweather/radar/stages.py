@@ -109,9 +109,8 @@ class ToRadarPoints(Stage):
         power = points[..., POWER]
         weaker = torch.where(state.returns.gain_db == 0, power, power + state.returns.gain_db)
         lost = (state.returns.kind[:, : points.shape[1]] == LOST) & (state.scene.range_m > 0)
-        points = points.clone()
-        points[..., :3].masked_fill_(lost[..., None], 0.0)
-        points[..., POWER] = weaker
+        place = points[..., :3].masked_fill(lost[..., None], 0.0)
+        points = torch.cat([place, points[..., 3:POWER], weaker[..., None].to(points), points[..., POWER + 1 :]], -1)
         if state.returns.clutter is not None:
             further = points.new_zeros(
                 *state.returns.clutter.shape[:2], points.shape[-1] - state.returns.clutter.shape[-1]

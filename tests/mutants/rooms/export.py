@@ -10,6 +10,14 @@ LIDAR_GRAPH = "torchweather.export.lidar_graph"
 
 MUTANTS = (
     Mutant(
+        "changed_in_place_while_read",
+        "an operation in place is replaced only where nothing else reads its input",
+        "torchweather.export.decomposing",
+        "or len(changed.users) != 1",
+        "or len(changed.users) < 1",
+        ("tests/export/test_decomposing.py::test_what_is_changed_in_place_and_read_is_left_to_torch[shared]",),
+    ),
+    Mutant(
         "picture_in_bgr_to_rgb_detector",
         "a detector gets the colour order that it declares",
         PICTURE,
