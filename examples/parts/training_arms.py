@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -163,9 +163,6 @@ def picture_arms(camera: tw.Camera, ablate: bool) -> dict[str, Arm]:
 # ---- clouds --------------------------------------------------------------------------------------------------------
 
 SNOW = tw.Choice([None, tw.Snow(rate_mm_per_h=tw.LogUniform(0.3, 3))], weights=[1, 2])
-SNOW_DRAWN = tw.Choice(
-    [None, tw.Snow(rate_mm_per_h=tw.LogUniform(0.3, 3), flake_reflectivity=tw.LogUniform(0.125, 0.5))], weights=[1, 2]
-)
 INPUTS = {"points": {"directions": "beams"}}
 
 
@@ -182,18 +179,29 @@ def naive_snow(sample: dict[str, Any], seed: int) -> dict[str, Any]:
     return {**sample, "points": points, "classes": classes}
 
 
+def snow_recipe(sensor: tw.Lidar, inputs: Mapping[str, Any]) -> tw.Compose:
+    """The snow of the recipe that draws what is not known, with its near response in place of the sensor's."""
+    weather = next(one for one in load_recipe("training/lidar").weather.values if isinstance(one, tw.Snow))
+    fields = {name: value for name, value in sensor.to_dict().items() if name not in ("near_start_m", "near_full_m")}
+    compose: tw.Compose = load_recipe(
+        "training/lidar",
+        weather=tw.Choice([None, weather], weights=[1, 2]),
+        transforms={"points": {"sensor": fields}},
+        inputs=inputs,
+    )
+    return compose
+
+
+def drawn_snow(sensor: tw.Lidar, inputs: Mapping[str, Any]) -> Callable[[dict[str, Any], int], dict[str, Any]]:
+    compose = snow_recipe(sensor, inputs)
+    return lambda sample, seed: relabelled(*compose.run(sample, seed=seed))
+
+
 def cloud_arms() -> dict[str, Callable[[dict[str, Any], int], dict[str, Any]]]:
     """Arms of the LiDAR by name."""
-    sensor = tw.Lidar.from_dict({**SENSOR.to_dict(), "near_full_m": tw.LogUniform(10.0, 30.0)})
-    effects = [
-        {"effect": "lidar.threshold_shift", "shift_db": tw.Uniform(-2, 2)},
-        {"effect": "lidar.particle_backscatter", "gain_db": tw.Uniform(-3, 3)},
-    ]
     plain = tw.Compose({"points": tw.LidarWeather(None, SENSOR)}, weather=SNOW, inputs=INPUTS)
-    known = tw.LidarWeather(None, sensor, effects=effects)
-    unknown = tw.Compose({"points": known}, weather=SNOW_DRAWN, inputs=INPUTS)
     return {
         "naive": naive_snow,
         "library": lambda sample, seed: relabelled(*plain.run(sample, seed=seed)),
-        "library, drawn": lambda sample, seed: relabelled(*unknown.run(sample, seed=seed)),
+        "library, drawn": drawn_snow(SENSOR, INPUTS),
     }

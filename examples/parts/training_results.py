@@ -12,7 +12,11 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 Rows = list[dict[str, Any]]
-"""One a test and arm: ``sensor``, ``simulator`` (independent or own), ``test``, ``arm``, ``scores`` of the seeds."""
+"""One a test and arm: ``sensor``, ``simulator`` (independent, own, recorded, development), ``test``, ``arm``, and
+``scores`` of the seeds."""
+
+
+SUFFIX = {"own": ", own simulator", "development": ", used for choices"}
 
 
 def table(rows: Rows, sensor: str) -> str:
@@ -29,15 +33,17 @@ def table(rows: Rows, sensor: str) -> str:
                 if (row["test"], row["simulator"], row["arm"]) == (test, simulator, arm)
             ]
             cells.append(f"{found[0].mean():.3f} ({np.abs(found[0] - found[0].mean()).max():.3f})" if found else "-")
-        name = test if simulator == "independent" else f"{test}, own simulator"
+        name = f"{test}{SUFFIX.get(simulator, '')}"
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
 def gains(rows: Rows, sensor: str, arm: str, over: str) -> list[float]:
-    """By seed: an arm's mean score over another's, in all weathers of the independent test."""
+    """By seed: an arm's mean score over another's, in all weathers of the independent or recorded test."""
     own = [
-        row for row in rows if row["sensor"] == sensor and row["simulator"] == "independent" and row["test"] != "clear"
+        row
+        for row in rows
+        if row["sensor"] == sensor and row["simulator"] in ("independent", "recorded") and row["test"] != "clear"
     ]
     mine, other = (np.array([row["scores"] for row in own if row["arm"] == name]).mean(0) for name in (arm, over))
     return [float(one) for one in mine - other]
@@ -52,7 +58,7 @@ def draw(rows: Rows, path: Path) -> None:
         for arm in dict.fromkeys(row["arm"] for row in own):
             means = {(row["simulator"], row["test"]): np.mean(row["scores"]) for row in own if row["arm"] == arm}
             axis.plot([means.get(test, np.nan) for test in tests], "o", label=arm, alpha=0.8)
-        names = [test if simulator == "independent" else f"{test} (own)" for simulator, test in tests]
+        names = [f"{test}{SUFFIX.get(simulator, '')}" for simulator, test in tests]
         axis.set_xticks(range(len(tests)), names, rotation=40, ha="right")
         axis.set_ylabel(sensor)
         axis.set_ylim(0, 1)
