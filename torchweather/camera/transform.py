@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
@@ -28,7 +28,7 @@ from torchweather.camera.overcast_sky import OvercastSky
 from torchweather.camera.particles.bank import DrawBank
 from torchweather.camera.particles.bank_veil import EXACT_QUALITY, BankVeil, checked_quality
 from torchweather.camera.particles.veil import ParticleVeil
-from torchweather.camera.rays import Rays, rays_of
+from torchweather.camera.rays import Rays, kept_rays, rays_of_frame
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
@@ -656,21 +656,12 @@ class BayerWeather(WeatherTransform):
 
     def _rays_for(self, linear: Tensor, horizon_row: float | None) -> Rays:
         height, width = linear.shape[-2:]
-        key = (height, width, linear.device, linear.dtype, horizon_row)
         if is_exporting():
-            return self._rays_of(height, width, linear, horizon_row)
+            return rays_of_frame(self.camera, height, width, linear, self.layer_top_m, horizon_row)
+        key = (height, width, linear.device, linear.dtype, horizon_row)
         if key not in self._rays:
-            with torch.no_grad():
-                self._rays = {key: self._rays_of(height, width, linear, horizon_row)}
+            self._rays = {key: kept_rays(self.camera, height, width, linear, self.layer_top_m, horizon_row)}
         return self._rays[key]
-
-    def _rays_of(self, height: int, width: int, like: Tensor, horizon_row: float | None) -> Rays:
-        """Rays of the camera, pitched so that the horizon lies where the scene has it."""
-        camera = self.camera
-        if horizon_row is not None:
-            camera = replace(camera, pitch_rad=math.atan2(horizon_row - camera.principal_point_px[1], camera.fy))
-        x, y, _ = camera.ray_directions(height, width, device=like.device, dtype=like.dtype)
-        return rays_of(camera, x, y, self.layer_top_m)
 
     def _raw(self, after: CameraState, before: CameraState, bayer: Tensor) -> Tensor:
         return raw_from_linear(

@@ -292,7 +292,7 @@ class Compose(nn.Module):
     def _run(
         self, sample: Sample, seed: int | None, draw: Draw | Sequence[Draw] | None, *, truth: bool
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """As `run`; without ``truth`` some results may be the data alone."""
+        """As `run`; without ``truth`` the results are the data alone."""
         data = self._data(sample)
         number = self._number(data)
         if draw is None:
@@ -387,7 +387,7 @@ class Compose(nn.Module):
                     f"{name}.{full.removeprefix('air.')}": torch.from_numpy(array[0]) for full, array in shared.items()
                 }
         noise = {name: one.to(value.device) for name, one in noise.items()}
-        return transform.run(value, noise=noise, **extras)
+        return (transform.run if truth else transform)(value, noise=noise, **extras)
 
     def _by_look_ups(self, key: str, spec: TransformSpec[Any], value: Tensor, depth: Any, draw: Draw) -> Tensor | None:
         """An image in weather of training quality, by one transform for all rates and airlights; ``None`` where that
