@@ -9,11 +9,16 @@ import pytest
 import torch
 
 from torchweather.camera.airlight import _brightest, _brightest_of
+from torchweather.core.compiled import SWITCH
 
 
+@pytest.mark.parametrize("compiled", ["0", "1"])
 @pytest.mark.parametrize("size", [(6, 40), (8, 8), (10, 12), (66, 70), (132, 90), (200, 130)])
 @pytest.mark.parametrize("place", ["anywhere", "top", "left", "bottom", "right"])
-def test_it_is_that_of_the_pooled_phases(size: tuple[int, int], place: str) -> None:
+def test_it_is_that_of_the_pooled_phases(
+    size: tuple[int, int], place: str, compiled: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SWITCH, compiled)
     signal = torch.rand(2, 1, *size, generator=torch.Generator().manual_seed(sum(size)))
     edges: dict[str, Any] = {
         "top": (slice(0, 2), slice(None)),

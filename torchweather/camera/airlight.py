@@ -10,11 +10,13 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchweather.camera.luminance import airlight_from_luminance
 from torchweather.camera.state import CameraState
+from torchweather.core.compiled import uses_compiled
 from torchweather.core.errors import InputValueError, TorchweatherWarning, owner_name
 from torchweather.pipeline.tiling import is_exporting
 
@@ -119,10 +121,12 @@ def estimate_airlight(
         neutral = _neutral(light)
         own = 0.0 if extinction_per_m is None else own_air(extinction_per_m.to(light))
         light = neutral + own * (light - neutral)
-    instead = _grey_without_sky(state) if planes else per_colour(_brightest(state), state)
-    if grey and not planes:
-        instead = instead.mean(1, keepdim=True).expand_as(light)
-    airlight = torch.where(seen[:, None], light, instead)
+    airlight = light
+    if is_exporting() or not bool(seen.all()):
+        instead = _grey_without_sky(state) if planes else per_colour(_brightest(state), state)
+        if grey and not planes:
+            instead = instead.mean(1, keepdim=True).expand_as(light)
+        airlight = torch.where(seen[:, None], light, instead)
     if not is_exporting() and state.image.signal.numel():
         _warn(airlight, seen, owner, planes=planes, night=state.air.lamp_light is not None)
     return airlight
@@ -216,6 +220,10 @@ def _brightest(state: CameraState) -> Tensor:
     signal = state.image.signal
     if is_exporting() or min(signal.shape[-2:]) < 8:
         return _brightest_of(signal)
+    if _is_compiled(signal):
+        from torchweather.camera.compiled_airlight import brightest_cells
+
+        return torch.from_numpy(np.stack([brightest_cells(one[0].contiguous().numpy()) for one in signal.detach()]))
     # Neighbours of one phase are two rows or columns apart, so that all phases add up together.
     found = [_edge(_pooled(signal[..., :4, :])[..., 0, :]), _edge(_pooled(signal[..., -4:, :])[..., -1, :])]
     found += [_edge(_pooled(signal[..., :4])[..., 0]), _edge(_pooled(signal[..., -4:])[..., -1])]
@@ -228,6 +236,11 @@ def _brightest(state: CameraState) -> Tensor:
         columns = torch.stack([both[:, y::2].amax(1) for y in (0, 1)], 1)  # (B, 2, W - 4)
         found.append(torch.stack([columns[..., x::2].amax(-1) for x in (0, 1)], -1) / 9)
     return torch.stack(found).amax(0)
+
+
+def _is_compiled(signal: Tensor) -> bool:
+    learns = torch.is_grad_enabled() and signal.requires_grad
+    return signal.device.type == "cpu" and signal.dtype == torch.float32 and not learns and uses_compiled()
 
 
 def _pooled(signal: Tensor) -> Tensor:

@@ -6,10 +6,12 @@ import copy
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.atmosphere.weather import REHEARSE, REHEARSE_MOR_M, Fog, weather_from_dict
@@ -18,7 +20,9 @@ from torchweather.camera.multiple_scattering import forward_scattered, kernel_we
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
+from torchweather.core.compiled import uses_compiled
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
+from torchweather.core.threads import side_by_side, threads_at_hand
 from torchweather.physics import InterpolationTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
 from torchweather.pipeline.registry import register
@@ -35,6 +39,7 @@ FARTHEST_M = 1e12  # stands for an infinite depth, so that zero extinction times
 FADING_COLOUR = 1  # where one colour stands for all: green, or clear
 EXTINCTION_MODELS = ("mie", "koschmieder")
 SCATTERING_MODELS = ("single", "multiple")
+NOTHING: NDArray[np.float32] = np.zeros((0, 0), np.float32)
 
 
 @lru_cache(maxsize=32)
@@ -213,13 +218,15 @@ class ExtinctionAndAirlight(Stage):
                 "ExtinctionAndAirlight: scattering='multiple' cannot be exported; its pyramid depends on the size and "
                 "the depths of the frame. Export with scattering='single'."
             )
+        if self._is_compiled(state, extinction, airlight, out):
+            seen = self._compiled(state, extinction, airlight, out)
+            return state.changed(signal=seen, airlight=airlight, fog_extinction_per_m=extinction)
         alpha_rows, light_rows = state.per_pixel(-extinction), state.per_pixel(airlight)
 
         # Zero extinction times infinite depth is zero, and so is its gradient.
         clip = is_exporting() or extinction.requires_grad or density is not None or bool((extinction == 0).any())
 
-        estimated = state.receiver.cfa_index is None and not isinstance(self.given_airlight, tuple)
-        own = state.per_pixel(own_air(extinction)) if estimated else None
+        own = state.per_pixel(own_air(extinction)) if self._is_estimated(state) else None
 
         def let_through(ray_m: Tensor, rows: tuple[Any, ...]) -> Tensor:
             clear = state.by_cells(ray_m if density is None else ray_m * density[rows]) * alpha_rows
@@ -243,7 +250,7 @@ class ExtinctionAndAirlight(Stage):
                 )
             # lerp gives either end exactly: the scene where clear is 1, the airlight where it is 0.
             ends = light_rows.expand_as(clear), state.by_cells(state.image.signal[rows])
-            if into is not None and not clear.requires_grad and state.receiver.cfa_index is not None:
+            if into is not None and not clear.requires_grad:
                 torch.lerp(*ends, clear, out=state.by_cells(into))
                 seen = into
             else:
@@ -260,6 +267,54 @@ class ExtinctionAndAirlight(Stage):
         return state.changed(
             signal=results[0], airlight=airlight, fog_extinction_per_m=extinction, transmission=transmission
         )
+
+    def _is_estimated(self, state: CameraState) -> bool:
+        """True where the airlight of a picture is taken from its sky."""
+        return state.receiver.cfa_index is None and not isinstance(self.given_airlight, tuple)
+
+    def _is_compiled(self, state: CameraState, *values: Tensor | None) -> bool:
+        """True where compiled loops compute the frame: on the processor, in single precision, without gradients."""
+        if is_exporting() or not uses_compiled() or state.air.fog_density is not None or state.receiver.keep_truth:
+            return False
+        if self.scattering == "multiple" or state.air.lamp_excess is not None:
+            return False
+        learns = torch.is_grad_enabled()
+        return all(
+            one.device.type == "cpu" and one.dtype == torch.float32 and not (learns and one.requires_grad)
+            for one in (state.image.signal, *_maps(state), *values)
+            if one is not None
+        )
+
+    def _compiled(self, state: CameraState, extinction: Tensor, airlight: Tensor, out: Tensor | None) -> Tensor:
+        """The foggy frame by compiled loops; rows are independent, so that threads change no bit."""
+        from torchweather.camera.compiled_fog import fog_rows
+
+        signal = state.image.signal
+        b, planes, height, width = signal.shape
+        seen = torch.empty_like(signal, memory_format=torch.contiguous_format) if out is None else out
+
+        def of_rows(per_colour: Tensor) -> list[Any]:
+            """Of each sample ``(C, 2, W)`` for its even and odd rows."""
+            rows = state.per_pixel(per_colour).expand(b, planes, 1, 2, width)
+            return list(rows[:, :, 0].contiguous().numpy())
+
+        def of_sample(value: Tensor | None, sample: int) -> Any:
+            return NOTHING if value is None else value[min(sample, len(value) - 1), 0].detach().contiguous().numpy()
+
+        per_m, light = of_rows(extinction.detach()), of_rows(airlight.detach())
+        own = own_air(extinction).detach().numpy() if self._is_estimated(state) else np.zeros((b, 0), np.float32)
+        tasks = []
+        rows = max(2, -(-height // threads_at_hand()))
+        for sample in range(b):
+            own_maps = [of_sample(one, sample) for one in _maps(state)]
+            pictures = (seen[sample].numpy(), signal[sample].detach().contiguous().numpy())
+            numbers = (per_m[sample], light[sample], np.ascontiguousarray(own[sample]), FARTHEST_M, OPAQUE)
+            tasks += [
+                partial(fog_rows, *pictures, *own_maps, *numbers, first, min(first + rows, height))
+                for first in range(0, height, rows)
+            ]
+        side_by_side(tasks)
+        return seen
 
     def _with_forward_scattered(self, state: CameraState, results: tuple[Tensor, ...], light_rows: Tensor) -> Tensor:
         """The foggy frame with the light that the fog scatters onward, and lamps as bright as they are; bit for bit as
@@ -282,6 +337,12 @@ class ExtinctionAndAirlight(Stage):
             added = added + (torch.minimum(through * (clear + excess), clear) - through * clear).clamp_min(0.0)
         thick = torch.isfinite(self.mor_m.reshape(-1, 1, 1, 1))
         return torch.where(thick, foggy + added, foggy)
+
+
+def _maps(state: CameraState) -> tuple[Tensor | None, ...]:
+    """Maps of the scene that fog looks at, as ``fog_rows`` takes them."""
+    scene = state.scene
+    return scene.depth_m, scene.ray_per_depth, scene.ray_in_layer_m, scene.sky, scene.near_mask
 
 
 def rays(state: CameraState) -> tuple[Tensor, Tensor]:

@@ -180,9 +180,10 @@ def warn_of_depth(depth_m: Tensor, camera: Camera, owner: object) -> None:
         return
     name = owner if isinstance(owner, str) else type(owner).__name__
     height = depth_m.shape[-2]
+    depth_m = depth_m.detach()
     low = depth_m[..., height * 2 // 3 :, :]
-    infinite = torch.isinf(low)
-    share = float(infinite.float().mean())
+    nearest, farthest = (float(end) for end in torch.aminmax(low))
+    share = 0.0 if farthest < torch.inf else int(torch.isinf(low).count_nonzero()) / low.numel()
     if share > _SKY_ON_ROAD and _below_horizon(camera, height * 2 // 3 / height):
         whole = float(torch.isinf(depth_m).float().mean())
         if whole < 1:
@@ -193,7 +194,7 @@ def warn_of_depth(depth_m: Tensor, camera: Camera, owner: object) -> None:
                 TorchweatherWarning,
                 stacklevel=3,
             )
-    nearest_m = float(torch.where(infinite | low.isnan(), torch.inf, low).amin())
+    nearest_m = nearest if nearest == nearest else float(torch.where(low.isnan(), torch.inf, low).amin())
     if _NEAREST_M < nearest_m < torch.inf and not bool((low == nearest_m).all()):
         warnings.warn(
             f"{name}: nothing in the lowest third of the depth map is nearer than {nearest_m:.4g} m, where a street is "

@@ -1,7 +1,7 @@
 """Compiled haze: streaky noise, tables over depth and the log-normal of every pixel, row after row.
 
-The same formulas as ``haze.haze_depth``, in single precision and with polynomials for exp and ln (relative error
-below 2e-7). A row's arrays stay in the cache.
+The same formulas as ``haze.haze_depth``, in single precision and with polynomials for exp and ln. A row's arrays stay
+in the cache.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.camera.compiled_math import exp_of, log_of_sum
 from torchweather.core.compiled import jit
 
 __all__ = ["HazeAxis", "haze_rows"]
@@ -40,37 +41,9 @@ class HazeAxis(NamedTuple):
     steep: float
 
 
-ZERO, ONE, HALF, TWO = np.float32(0), np.float32(1), np.float32(0.5), np.float32(2)
-LN2, LOG2_E = np.float32(math.log(2)), np.float32(1 / math.log(2))
-LN2_HIGH, LN2_LOW = np.float32(0.693359375), np.float32(-2.12194440e-4)
-THIRD, FIFTH, SEVENTH, NINTH = np.float32(1 / 3), np.float32(1 / 5), np.float32(1 / 7), np.float32(1 / 9)
-E2, E3, E4, E5, E6 = (np.float32(1 / math.factorial(n)) for n in (2, 3, 4, 5, 6))
+ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 SMALL_DEPTH, FLOOR, LEAST = np.float32(1e-6), np.float32(1e-30), np.float32(1e-16)
-ROOT_BITS, EXPONENT_BIAS = np.int32(0x3F3504F3), np.int32(127)
-ROUNDING = np.float32(1.5 * 2**23)  # added and taken off, it rounds to the nearest whole number
-LOWEST, HIGHEST = np.float32(-87.0), np.float32(88.0)
 FAINTEST_TAP = 1e-6  # of a kernel of unit energy; below it a tap is left out
-
-
-@jit
-def _log_sum(one: np.float32, x: np.float32) -> np.float32:
-    """``ln(one + x)`` for one of 0 or 1 and x >= 0; small x beside 1 keep their digits."""
-    bits = np.float32(one + x).view(np.int32)
-    exponent = (bits - ROOT_BITS) >> np.int32(23)
-    mantissa = np.int32(bits - (exponent << np.int32(23))).view(np.float32)
-    f = x if exponent == 0 and one == ONE else mantissa - ONE
-    s = f / (TWO + f)
-    z = s * s
-    return np.float32(exponent) * LN2 + TWO * s * (ONE + z * (THIRD + z * (FIFTH + z * (SEVENTH + z * NINTH))))
-
-
-@jit
-def _exp(x: np.float32) -> np.float32:
-    x = min(max(x, LOWEST), HIGHEST)
-    whole = (x * LOG2_E + ROUNDING) - ROUNDING
-    r = x - whole * LN2_HIGH - whole * LN2_LOW
-    series = ONE + r * (ONE + r * (E2 + r * (E3 + r * (E4 + r * (E5 + r * E6)))))
-    return series * np.int32((np.int32(whole) + EXPONENT_BIAS) << np.int32(23)).view(np.float32)
 
 
 @jit
@@ -142,7 +115,7 @@ def _tables_row(
     last = np.float32(mean_table.size - 2)
     for at in range(place.size):
         foot = min(max(depth_m[at], SMALL_DEPTH), far) / scale
-        place[at] = max((_log_sum(ZERO, foot) - low) * per_step, ZERO)  # of nan: 0
+        place[at] = max((log_of_sum(ZERO, foot) - low) * per_step, ZERO)  # of nan: 0
     for at in range(place.size):
         cell = np.uint32(min(place[at], last))
         share = min(place[at] - np.float32(cell), ONE)
@@ -165,9 +138,9 @@ def _lognormal_row(out: Array, mean: Array, variance: Array, deviation: Array, r
         there = m > LEAST and v > LEAST
         safe = v if there else ONE
         centre = (m if there else ONE) + HALF * safe
-        spread = _log_sum(ONE, safe / (centre * centre))
+        spread = log_of_sum(ONE, safe / (centre * centre))
         power = np.sqrt(spread / safe) * (deviation[at] * ray[at]) - HALF * spread
-        varied = centre * _exp(power)
+        varied = centre * exp_of(power)
         out[at] = varied if there else m
 
 
