@@ -165,11 +165,16 @@ def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool, night:
 def _horizon_sky(state: CameraState, steps_px: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Sky's light per colour ``(B, 3)``, weighted towards the horizon, from some rows and columns; and whether every
     colour was seen, ``(B,)``."""
-    signal = thinned(state, state.image.signal, steps_px)  # (B, 4 or 3, n)
+    dtype = state.image.signal.dtype
     if state.scene.sky is None:
-        sky = torch.isinf(thinned(state, state.scene.depth_m, steps_px)).to(signal.dtype)
+        sky = torch.isinf(thinned(state, state.scene.depth_m, steps_px)).to(dtype)
     else:
-        sky = thinned(state, state.scene.sky, steps_px).to(signal.dtype)
+        sky = thinned(state, state.scene.sky, steps_px).to(dtype)
+    if not is_exporting() and not bool(sky.any()):  # the other maps need not be read
+        return state.image.signal.new_zeros(state.batch, 3), torch.zeros(
+            state.batch, dtype=torch.bool, device=sky.device
+        )
+    signal = thinned(state, state.image.signal, steps_px)  # (B, 4 or 3, n)
     weight = sky
     if state.scene.sine_elevation is not None:
         weight = towards_horizon(sky, thinned(state, state.scene.sine_elevation, steps_px).to(signal.dtype))

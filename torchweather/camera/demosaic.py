@@ -8,6 +8,7 @@ four full-size convolutions and keeps nothing that is thrown away.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
@@ -19,7 +20,7 @@ from torchweather.core.errors import InputTypeError, InputValueError, check_one_
 from torchweather.core.precision import outside_autocast
 from torchweather.core.threads import side_by_side
 
-__all__ = ["METHODS", "demosaic"]
+__all__ = ["METHODS", "demosaic", "malvar_filters", "malvar_in_bands", "malvar_kernel"]
 
 METHODS = ("malvar", "bilinear")
 """Names of the demosaicing methods."""
@@ -121,15 +122,26 @@ def demosaic(
     if method == "bilinear":
         rgb = _bilinear(frames, pattern, matrix)
         return rgb.reshape(*batch, 3, height, width) if out is None else out.copy_(rgb.view_as(out))
-    kernel = _malvar_kernel(pattern, matrix, bayer)
+    kernel = malvar_kernel(pattern, matrix, bayer)
     plain = torch.compiler.is_compiling() or bayer.device.type != "cpu"
     if out is None and (plain or (torch.is_grad_enabled() and (bayer.requires_grad or kernel.requires_grad))):
         cells = F.conv2d(F.pad(frames, (2, 2, 2, 2), mode="reflect"), kernel, stride=2)
         return F.pixel_shuffle(cells, 2).reshape(*batch, 3, height, width)
     if out is None:
         out = bayer.new_empty((*batch, 3, height, width))
-    _malvar_in_bands(frames, kernel, out.view(-1, 3, height, width))
+    cells_out = _cells(out.view(-1, 3, height, width))
+
+    def fill(first: int, last: int, cells: Tensor) -> None:
+        cells_out[:, :, first // 2 : last // 2] = cells
+
+    malvar_in_bands(frames, kernel, fill)
     return out
+
+
+def _cells(image: Tensor) -> Tensor:
+    """View of an image ``(N, 3, H, W)`` by cells, ``(N, 3, H/2, 2, W/2, 2)``."""
+    count, planes, height, width = image.shape
+    return image.view(count, planes, height // 2, 2, width // 2, 2)
 
 
 def _bilinear(frames: Tensor, pattern: str, matrix: Tensor | None) -> Tensor:
@@ -141,10 +153,17 @@ def _bilinear(frames: Tensor, pattern: str, matrix: Tensor | None) -> Tensor:
     return rgb if matrix is None else torch.einsum("ij,njhw->nihw", matrix.to(rgb), rgb)
 
 
-def _malvar_in_bands(frames: Tensor, kernel: Tensor, out: Tensor) -> None:
+def malvar_in_bands(frames: Tensor, kernel: Tensor, take: Callable[[int, int, Tensor], None]) -> None:
+    """Demosaic frames band by band on the processor.
+
+    Args:
+        frames: ``(N, 1, H, W)``.
+        kernel: of `malvar_kernel`.
+        take: gets first row, last row and the colours of each band, ``(N, 3, rows/2, 2, W/2, 2)``; bands come side by
+            side from several threads.
+    """
     count, _, height, width = frames.shape
     rows = max(2, min(height, _BAND_ROWS // max(count, 1))) // 2 * 2
-    cells_out = out.view(count, 3, height // 2, 2, width // 2, 2)
 
     def fill(start: int) -> None:
         stop = min(start + rows, height)
@@ -153,7 +172,7 @@ def _malvar_in_bands(frames: Tensor, kernel: Tensor, out: Tensor) -> None:
         above, below = 2 - (start - first), 2 - (last - stop)
         band = F.pad(frames[:, :, first:last], (2, 2, above, below), mode="reflect")
         cells = F.conv2d(band, kernel, stride=2).view(count, 3, 2, 2, (stop - start) // 2, width // 2)
-        cells_out[:, :, start // 2 : stop // 2] = cells.permute(0, 1, 4, 2, 5, 3)
+        take(start, stop, cells.permute(0, 1, 4, 2, 5, 3))
 
     side_by_side([functools.partial(fill, start) for start in range(0, height, rows)])
 
@@ -174,6 +193,20 @@ def _malvar_taps(pattern: str) -> tuple[tuple[tuple[float, ...], ...], ...]:
     return tuple(taps)
 
 
+@functools.cache
+def malvar_filters(pattern: str) -> tuple[tuple[tuple[int, ...], ...], ...]:
+    """Number of the filter of each colour in each phase of the cell, ``(3, 2, 2)``, in the order of the constants.
+
+    0 takes the pixel as measured, 1 is green at a colour, 2 and 3 a colour at green in its row and in its column, 4
+    the opposite colour.
+    """
+    order = (_AS_MEASURED, _GREEN_AT_COLOUR, _COLOUR_AT_GREEN_IN_ITS_ROW, _COLOUR_AT_GREEN_IN_ITS_COLUMN)
+    every, cell = (*order, _COLOUR_AT_OPPOSITE), cfa_colour_index(pattern)
+    return tuple(
+        tuple(tuple(every.index(_filter_at(cell, colour, i, j)) for j in (0, 1)) for i in (0, 1)) for colour in range(3)
+    )
+
+
 def _filter_at(
     cell: tuple[tuple[int, int], tuple[int, int]], colour: int, i: int, j: int
 ) -> tuple[tuple[float, ...], ...]:
@@ -187,7 +220,8 @@ def _filter_at(
     return _COLOUR_AT_OPPOSITE
 
 
-def _malvar_kernel(pattern: str, matrix: Tensor | None, like: Tensor) -> Tensor:
+def malvar_kernel(pattern: str, matrix: Tensor | None, like: Tensor) -> Tensor:
+    """Weights of a cell's 6 x 6 window, ``(12, 1, 6, 6)``: colour, row and column phase."""
     kernel = torch.tensor(_malvar_taps(pattern), dtype=like.dtype, device=like.device)  # (12, 6, 6)
     if matrix is not None:
         # A colour matrix is linear too: folded into the taps it costs nothing per pixel.

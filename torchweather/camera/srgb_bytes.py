@@ -16,7 +16,7 @@ from torch import Tensor
 from torchweather.camera.tone import srgb_decode
 from torchweather.core.compiled import uses_compiled
 
-__all__ = ["bytes_of_light", "light_of_bytes"]
+__all__ = ["byte_limits", "bytes_of_light", "light_of_bytes"]
 
 LEVELS = 256
 # Ranges of equal width, each of which holds at most one limit between two levels: those are 3.0e-4 apart or more.
@@ -30,7 +30,7 @@ def _light(device: torch.device) -> Tensor:
 
 
 @lru_cache(maxsize=8)
-def _limits(device: torch.device) -> tuple[Tensor, Tensor]:
+def byte_limits(device: torch.device) -> tuple[Tensor, Tensor]:
     """Of each range: the level at its lower end, and where the next level begins (infinity: beyond the range)."""
     shown = (np.arange(1, LEVELS) - 0.5) / 255.0
     begins = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
@@ -78,7 +78,7 @@ def bytes_of_light(linear: Tensor) -> Tensor:
     Args:
         linear: float, any shape, saturation 1.
     """
-    level, begins = _limits(linear.device)
+    level, begins = byte_limits(linear.device)
     out = torch.empty(linear.shape, dtype=torch.uint8, device=linear.device)
     flat, found = linear.detach().reshape(-1), out.view(-1)
     if linear.dtype == torch.float32 and _compiled(linear):

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.camera.bayer import cfa_colour_index, mosaic
-from torchweather.camera.demosaic import demosaic
+from torchweather.camera.bayer import RCCB_TO_RGB, cfa_colour_index, mosaic
+from torchweather.camera.demosaic import METHODS, demosaic, malvar_filters, malvar_in_bands, malvar_kernel
 from torchweather.camera.depth import SceneDepth
 from torchweather.camera.rgb_planes import linear_planes
 from torchweather.camera.sensor import Camera
-from torchweather.camera.srgb_bytes import bytes_of_light
+from torchweather.camera.srgb_bytes import byte_limits, bytes_of_light
 from torchweather.camera.tone import compand, expand, quantise, srgb_encode
+from torchweather.core.compiled import uses_compiled
+from torchweather.core.threads import side_by_side, threads_at_hand
 
 __all__ = ["image_of_mosaic", "mosaic_of_image", "padded", "padded_scene", "padded_size"]
 
@@ -53,14 +57,13 @@ def image_of_mosaic(before: Tensor | None, after: Tensor, rgb: Tensor, camera: C
     """
     height, width = rgb.shape[-2:]
     linear = expand(after, camera.response_knots) if camera.response_knots else after
-    rebuilt = demosaic(linear, camera.bayer_pattern, method)[..., :height, :width]
     if rgb.dtype == torch.uint8 and not torch.compiler.is_compiling():
-        seen = bytes_of_light(rebuilt)
+        seen = _levels(linear, camera.bayer_pattern, method)[..., :height, :width]
         if before is None:
             return seen
         own = (after == before).flatten(-3).all(-1)
         return torch.where(own[..., None, None, None], rgb, seen) if bool(own.any()) else seen
-    seen = srgb_encode(rebuilt)
+    seen = srgb_encode(demosaic(linear, camera.bayer_pattern, method)[..., :height, :width])
     unlike = torch.ones_like(after, dtype=torch.bool) if before is None else after != before
     changed = unlike.flatten(-3).any(-1)[..., None, None, None]
     if rgb.is_floating_point():
@@ -68,6 +71,47 @@ def image_of_mosaic(before: Tensor | None, after: Tensor, rgb: Tensor, camera: C
     # uint16 knows few operations: choose in int32.
     full = float(torch.iinfo(rgb.dtype).max)
     return torch.where(changed, quantise(seen, torch.int32, 0.0, full), rgb.to(torch.int32)).to(rgb.dtype)
+
+
+def _levels(bayer: Tensor, pattern: str, method: str) -> Tensor:
+    """sRGB levels ``(..., 3, H, W)`` of the colour image of a mosaic, uint8.
+
+    By ``malvar`` each band is encoded while it is in the cache, and the colour image in float is never whole.
+    """
+    if method != METHODS[0] or bayer.dtype != torch.float32 or bayer.device.type != "cpu":
+        return bytes_of_light(demosaic(bayer, pattern, method))
+    *batch, _, height, width = bayer.shape
+    matrix = torch.tensor(RCCB_TO_RGB) if pattern == "RCCB" else None
+    out = torch.empty((*batch, 3, height, width), dtype=torch.uint8)
+    if uses_compiled():
+        _compiled_levels(out.view(-1, 3, height, width), bayer.detach().reshape(-1, height, width), pattern, matrix)
+        return out
+    seen = out.view(-1, 3, height, width)
+
+    def fill(first: int, last: int, cells: Tensor) -> None:
+        seen[:, :, first:last] = bytes_of_light(cells.reshape(len(seen), 3, last - first, width))
+
+    with torch.no_grad():
+        malvar_in_bands(bayer.reshape(-1, 1, height, width), malvar_kernel(pattern, matrix, bayer), fill)
+    return out
+
+
+def _compiled_levels(out: Tensor, frames: Tensor, pattern: str, matrix: Tensor | None) -> None:
+    """Write the levels ``(N, 3, H, W)`` of mosaics ``(N, H, W)`` by compiled loops."""
+    from torchweather.camera.compiled_mosaic import levels_of_mosaic
+
+    height = frames.shape[-2]
+    filters = np.array(malvar_filters(pattern))
+    mixing = (torch.empty(0, 0) if matrix is None else matrix).numpy()
+    tables = [table.numpy() for table in byte_limits(out.device)]
+    rows = max(2, -(-height // threads_at_hand()))
+    side_by_side(
+        [
+            partial(levels_of_mosaic, seen, frame, filters, mixing, *tables, first, min(first + rows, height))
+            for seen, frame in zip(out.numpy(), frames.contiguous().numpy(), strict=True)
+            for first in range(0, height, rows)
+        ]
+    )
 
 
 def padded_size(height: int, width: int) -> tuple[int, int]:
