@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.camera.compiled_math import exp_of
+from torchweather.camera.compiled_math import blend_row, exp_of
 from torchweather.core.compiled import jit
 
 __all__ = ["fog_rows"]
 
 Array = NDArray[np.float32]
 
-ONE, HALF = np.float32(1), np.float32(0.5)
+ONE = np.float32(1)
 
 
 @jit
@@ -33,14 +33,6 @@ def _clear_row(clear: Array, path: Array, extinction: Array, opaque: np.float32)
     """Transmission along each path."""
     for at in range(clear.size):
         clear[at] = exp_of(max(-(extinction[at] * path[at]), -opaque))
-
-
-@jit
-def _blend_row(out: Array, light: Array, signal: Array, clear: Array) -> None:
-    """Signal where the air is clear, airlight where it is opaque; either end exactly."""
-    for at in range(out.size):
-        far = signal[at] - light[at]
-        out[at] = light[at] + clear[at] * far if clear[at] < HALF else signal[at] - (ONE - clear[at]) * far
 
 
 @jit
@@ -90,12 +82,12 @@ def fog_rows(
             _clear_row(clear, path, per_m, most)
             if has_sky and layered:
                 _clear_row(above, in_layer_m[row], per_m, most)
-                _blend_row(clear, clear, above, sky[row])
+                blend_row(clear, clear, above, sky[row])
             if own.size > 0:
                 for at in range(width):
                     clear[at] = ONE - (ONE - clear[at]) * (ONE - share[at] * own[plane])
             if masked:
                 for at in range(width):
                     above[at] = ONE
-                _blend_row(clear, clear, above, near[row])
-            _blend_row(out[plane, row], airlight, signal[plane, row], clear)
+                blend_row(clear, clear, above, near[row])
+            blend_row(out[plane, row], airlight, signal[plane, row], clear)

@@ -1,20 +1,24 @@
-"""exp and ln of single precision for compiled loops, by polynomials (relative error below 2e-7)."""
+"""exp, ln and blending of single precision for compiled loops, by polynomials (relative error below 2e-7)."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from torchweather.core.compiled import jit
 
-__all__ = ["exp_of", "log_of_sum"]
+__all__ = ["blend_row", "covered_share", "exp_of", "log_of_sum"]
 
-ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
+Array = NDArray[np.float32]
+
+ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 LN2, LOG2_E = np.float32(math.log(2)), np.float32(1 / math.log(2))
 LN2_HIGH, LN2_LOW = np.float32(0.693359375), np.float32(-2.12194440e-4)
 THIRD, FIFTH, SEVENTH, NINTH = np.float32(1 / 3), np.float32(1 / 5), np.float32(1 / 7), np.float32(1 / 9)
 E2, E3, E4, E5, E6 = (np.float32(1 / math.factorial(n)) for n in (2, 3, 4, 5, 6))
+THIN = np.float32(0.06)  # optical depth below which four terms of the series are exact to 1e-7 of it
 ROOT_BITS, EXPONENT_BIAS = np.int32(0x3F3504F3), np.int32(127)
 ROUNDING = np.float32(1.5 * 2**23)  # added and taken off, it rounds to the nearest whole number
 LOWEST, HIGHEST = np.float32(-87.0), np.float32(88.0)
@@ -40,3 +44,18 @@ def exp_of(x: np.float32) -> np.float32:
     r = x - whole * LN2_HIGH - whole * LN2_LOW
     series = ONE + r * (ONE + r * (E2 + r * (E3 + r * (E4 + r * (E5 + r * E6)))))
     return series * np.int32((np.int32(whole) + EXPONENT_BIAS) << np.int32(23)).view(np.float32)
+
+
+@jit
+def covered_share(optical: np.float32) -> np.float32:
+    """``1 - exp(-optical)``, optical depth 0 or more; small shares keep their digits."""
+    series = optical * (ONE - optical * (HALF - optical * (E3 - optical * (E4 - optical * E5))))
+    return series if optical < THIN else ONE - exp_of(-optical)
+
+
+@jit
+def blend_row(out: Array, start: Array, end: Array, weight: Array) -> None:
+    """``start + weight (end - start)``; either end exactly."""
+    for at in range(out.size):
+        way = end[at] - start[at]
+        out[at] = start[at] + weight[at] * way if weight[at] < HALF else end[at] - (ONE - weight[at]) * way

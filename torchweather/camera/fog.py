@@ -16,13 +16,14 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import REHEARSE, REHEARSE_MOR_M, Fog, weather_from_dict
 from torchweather.camera.airlight import airlight_argument, given_or_estimated, own_air, scaled_airlight
+from torchweather.camera.compiled_rows import bands_of, colour_rows, map_of, on_processor
 from torchweather.camera.multiple_scattering import forward_scattered, kernel_weights
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
 from torchweather.core.compiled import uses_compiled
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
-from torchweather.core.threads import side_by_side, threads_at_hand
+from torchweather.core.threads import side_by_side
 from torchweather.physics import InterpolationTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
 from torchweather.pipeline.registry import register
@@ -39,7 +40,6 @@ FARTHEST_M = 1e12  # stands for an infinite depth, so that zero extinction times
 FADING_COLOUR = 1  # where one colour stands for all: green, or clear
 EXTINCTION_MODELS = ("mie", "koschmieder")
 SCATTERING_MODELS = ("single", "multiple")
-NOTHING: NDArray[np.float32] = np.zeros((0, 0), np.float32)
 
 
 @lru_cache(maxsize=32)
@@ -278,41 +278,23 @@ class ExtinctionAndAirlight(Stage):
             return False
         if self.scattering == "multiple" or state.air.lamp_excess is not None:
             return False
-        learns = torch.is_grad_enabled()
-        return all(
-            one.device.type == "cpu" and one.dtype == torch.float32 and not (learns and one.requires_grad)
-            for one in (state.image.signal, *_maps(state), *values)
-            if one is not None
-        )
+        return on_processor(state.image.signal, *_maps(state), *values)
 
     def _compiled(self, state: CameraState, extinction: Tensor, airlight: Tensor, out: Tensor | None) -> Tensor:
         """The foggy frame by compiled loops; rows are independent, so that threads change no bit."""
         from torchweather.camera.compiled_fog import fog_rows
 
-        signal = state.image.signal
-        b, planes, height, width = signal.shape
-        seen = torch.empty_like(signal, memory_format=torch.contiguous_format) if out is None else out
-
-        def of_rows(per_colour: Tensor) -> list[Any]:
-            """Of each sample ``(C, 2, W)`` for its even and odd rows."""
-            rows = state.per_pixel(per_colour).expand(b, planes, 1, 2, width)
-            return list(rows[:, :, 0].contiguous().numpy())
-
-        def of_sample(value: Tensor | None, sample: int) -> Any:
-            return NOTHING if value is None else value[min(sample, len(value) - 1), 0].detach().contiguous().numpy()
-
-        per_m, light = of_rows(extinction.detach()), of_rows(airlight.detach())
-        own = own_air(extinction).detach().numpy() if self._is_estimated(state) else np.zeros((b, 0), np.float32)
+        signal = state.image.signal.detach().contiguous()
+        seen = torch.empty_like(signal) if out is None else out
+        per_m, light = colour_rows(state, extinction), colour_rows(state, airlight)
+        share = own_air(extinction).detach().numpy()
+        own: NDArray[np.float32] = share if self._is_estimated(state) else np.zeros((state.batch, 0), np.float32)
         tasks = []
-        rows = max(2, -(-height // threads_at_hand()))
-        for sample in range(b):
-            own_maps = [of_sample(one, sample) for one in _maps(state)]
-            pictures = (seen[sample].numpy(), signal[sample].detach().contiguous().numpy())
+        for sample in range(state.batch):
+            depth_m, ray, in_layer_m, sky, near = (map_of(one, sample) for one in _maps(state))
+            one = partial(fog_rows, seen[sample].numpy(), signal[sample].numpy(), depth_m, ray, in_layer_m, sky, near)
             numbers = (per_m[sample], light[sample], np.ascontiguousarray(own[sample]), FARTHEST_M, OPAQUE)
-            tasks += [
-                partial(fog_rows, *pictures, *own_maps, *numbers, first, min(first + rows, height))
-                for first in range(0, height, rows)
-            ]
+            tasks += [partial(one, *numbers, first, last) for first, last in bands_of(signal.shape[-2])]
         side_by_side(tasks)
         return seen
 

@@ -90,9 +90,9 @@ def kept_rays(
     A transform of a rate or visibility of its own for each sample would compute them anew each time: 9 of the 31 ms of
     a 1242 x 375 image in fog. The maps must not be changed in place.
     """
-    mounting = (camera.intrinsics, camera.k1, camera.k2, camera.p1, camera.p2, camera.k3)
-    mounting += (camera.roll_rad, camera.pitch_rad, camera.height_m)
-    key = (mounting, height, width, like.device, like.dtype, layer_top_m, horizon_row)
+    lens = (camera.intrinsics, camera.k1, camera.k2, camera.p1, camera.p2, camera.k3)
+    mounting = (camera.roll_rad, camera.pitch_rad, camera.height_m)
+    key = (lens, mounting, height, width, like.device, like.dtype, layer_top_m, horizon_row)
     with _lock:
         found = _kept.pop(key, None)
         if found is not None:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.bayer import RCCB_TO_RGB, cfa_colour_index, mosaic
+from torchweather.camera.compiled_rows import bands_of
 from torchweather.camera.demosaic import METHODS, demosaic, malvar_filters, malvar_in_bands, malvar_kernel
 from torchweather.camera.depth import SceneDepth
 from torchweather.camera.rgb_planes import linear_planes
@@ -19,7 +20,7 @@ from torchweather.camera.sensor import Camera
 from torchweather.camera.srgb_bytes import byte_limits, bytes_of_light
 from torchweather.camera.tone import compand, expand, quantise, srgb_encode
 from torchweather.core.compiled import uses_compiled
-from torchweather.core.threads import side_by_side, threads_at_hand
+from torchweather.core.threads import side_by_side
 
 __all__ = ["image_of_mosaic", "mosaic_of_image", "padded", "padded_scene", "padded_size"]
 
@@ -100,16 +101,14 @@ def _compiled_levels(out: Tensor, frames: Tensor, pattern: str, matrix: Tensor |
     """Write the levels ``(N, 3, H, W)`` of mosaics ``(N, H, W)`` by compiled loops."""
     from torchweather.camera.compiled_mosaic import levels_of_mosaic
 
-    height = frames.shape[-2]
     filters = np.array(malvar_filters(pattern))
     mixing = (torch.empty(0, 0) if matrix is None else matrix).numpy()
-    tables = [table.numpy() for table in byte_limits(out.device)]
-    rows = max(2, -(-height // threads_at_hand()))
+    level, begins = (table.numpy() for table in byte_limits(out.device))
     side_by_side(
         [
-            partial(levels_of_mosaic, seen, frame, filters, mixing, *tables, first, min(first + rows, height))
+            partial(levels_of_mosaic, seen, frame, filters, mixing, level, begins, first, last)
             for seen, frame in zip(out.numpy(), frames.contiguous().numpy(), strict=True)
-            for first in range(0, height, rows)
+            for first, last in bands_of(frames.shape[-2])
         ]
     )
 

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 import torchweather as tw
+from torchweather.camera.depth import SceneDepth
 from torchweather.camera.particles import compiled
 from torchweather.camera.particles.optical_depth import haze_depth, listed_depth
 from torchweather.camera.particles.population import Population
@@ -117,6 +118,22 @@ def test_compiled_particles_are_those_of_torch(name: str, monkeypatch: pytest.Mo
     assert float((fast - slow).abs().max()) < SATURATION
     assert float((fast - frame).abs().max()) > 100 * SATURATION
     assert not torch.equal(fast, slow)  # two paths indeed
+
+
+@pytest.mark.parametrize("weather", [FALLEN, tw.Snow(2.5)], ids=["rain", "snow"])
+def test_masks_of_particles_and_of_the_own_vehicle_are_those_of_torch(
+    weather: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = camera_of(62, 94)
+    transform, near = transform_of(weather, camera), torch.zeros(1, 62, 94)
+    near[:, 40:] = torch.rand(1, 22, 94, generator=torch.Generator().manual_seed(3))
+    frame, scene = torch.full((1, 62, 94), 0.2), SceneDepth(depth_of(camera, STEPS), "exact", near_mask=near)
+    noise = transform.draw(frame, seed=3)
+    for name in ("bayer", "particle_mask"):
+        fast, slow = both(monkeypatch, lambda name=name: getattr(transform.run(frame, scene, noise), name))
+        assert float((fast - slow).abs().max()) < SATURATION
+        assert not torch.equal(fast, slow)
+    assert torch.equal(transform(frame, scene, noise), transform.run(frame, scene, noise).bayer)
 
 
 @pytest.mark.parametrize(("height", "width"), [(2, 2), (6, 130), (150, 18)])
@@ -247,7 +264,7 @@ def test_the_switch_and_what_is_installed_choose_the_path(monkeypatch: pytest.Mo
 
 def test_the_switch_leaves_numba_unimported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "numba", None)  # importing it fails
-    for name in ("compiled_marks", "compiled_haze"):
+    for name in ("compiled_marks", "compiled_haze", "compiled_veil"):
         monkeypatch.delitem(sys.modules, f"torchweather.camera.particles.{name}", raising=False)
         monkeypatch.delattr(f"torchweather.camera.particles.{name}", raising=False)
     camera = camera_of(16, 16)

@@ -193,6 +193,19 @@ MUTANTS = (
         ("tests/camera/particles/test_compiled_path.py::test_compiled_particles_are_those_of_torch",),
     ),
     Mutant(
+        "compiled_veil_before_the_own_vehicle",
+        "nothing falls between the lens and the own vehicle, in compiled loops as in torch's",
+        "torchweather.camera.particles.compiled_veil",
+        "covered[at] *= ONE - near[at]",
+        "covered[at] *= ONE",
+        (
+            (
+                "tests/camera/particles/test_compiled_path.py::"
+                "test_masks_of_particles_and_of_the_own_vehicle_are_those_of_torch"
+            ),
+        ),
+    ),
+    Mutant(
         "compiled_fog_without_its_top",
         "a ray leaves the fog at the layer's top, in compiled loops as in torch's",
         "torchweather.camera.compiled_fog",

@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.camera.compiled_rows import NOTHING, bands_of, colour_rows, map_of
 from torchweather.camera.particles.depth_blocks import BLOCK_PX
 from torchweather.camera.particles.population import AtRate, Population
 from torchweather.camera.particles.streaks import (
@@ -39,15 +40,15 @@ from torchweather.core.threads import side_by_side, threads_at_hand
 from torchweather.pipeline.tiling import is_exporting
 
 if TYPE_CHECKING:
+    from torchweather.camera.particles.compiled_haze import HazeAxis, HazeTables
     from torchweather.camera.particles.compiled_marks import Lens, Motion, Nodes
 
-__all__ = ["covers", "haze_depth", "listed_depth", "rendered_by"]
+__all__ = ["covers", "frame_behind", "haze_depth", "listed_depth", "rendered_by"]
 
 BAND_PIXELS = 1 << 16  # of sums and depth, that stay in the cache
 FEWEST_COLUMNS = 64  # of a band that has a thread of its own
 RAY_NODES = 4  # lengths of ray per depth between which the haze's fading is interpolated
 SLOWEST = 0.1  # of a rolling shutter relative to a particle, in rows
-NOTHING: NDArray[np.float32] = np.zeros((0, 0), np.float32)
 
 Array = NDArray[np.float32]
 
@@ -114,6 +115,18 @@ def listed_depth(
     Every sample and band of columns is rendered by itself, and pixels add up in the order of the points: the result is
     the same on any number of threads.
     """
+    totals, fadeds = _by_columns(population, state, noise, tables, fog_per_m)
+    return _by_rows(totals), None if fadeds is None else _by_rows(fadeds)
+
+
+def _by_columns(
+    population: Population,
+    state: CameraState,
+    noise: Mapping[str, Tensor],
+    tables: AtRate,
+    fog_per_m: Tensor | None = None,
+) -> tuple[Array, Array | None]:
+    """As ``listed_depth``, ``(B, W, H)``: one column after the other."""
     from torchweather.camera.particles.compiled_marks import transposed
 
     b, _, height, width = state.image.signal.shape
@@ -135,7 +148,7 @@ def listed_depth(
             depth = depths[min(sample, len(depths) - 1)]
             tasks.append(partial(_add_shells, into, depth, shells, first, last))
     side_by_side(tasks)
-    return _by_rows(totals), None if fadeds is None else _by_rows(fadeds)
+    return totals, fadeds
 
 
 def _by_rows(sums: Array) -> Tensor:
@@ -247,40 +260,79 @@ def haze_depth(
     fog_per_m: Tensor | None = None,
 ) -> tuple[Tensor, Tensor | None]:
     """Optical depth of the haze in the rows ``first..last``, as ``haze.haze_depth``."""
-    from torchweather.camera.particles.compiled_haze import HazeAxis, haze_rows
+    from torchweather.camera.particles.compiled_haze import haze_rows
 
-    p, t = population, population.tables
+    t = population.tables
     b, _, _, width = state.image.signal.shape
     optical = torch.empty(b, 1, last - first, width)
     faded = None if fog_per_m is None else torch.empty_like(optical)
     rows = (..., slice(first, last), slice(None))
     depth, ray = _array(state.scene.depth_m[rows])[:, 0], _array(state.scene.ray_per_depth[rows])[:, 0]
-    longest = 1.0 if fog_per_m is None else float(state.scene.ray_per_depth.amax())
-    fields = _array(noise[f"{p.weather.kind}_haze"])
-    names = ("haze_depth", "haze_variance", "kernel_along", "kernel_across")
-    mean, variance, along, across = (_array(getattr(tables, name)) for name in names)
+    fields = _array(noise[f"{population.weather.kind}_haze"])
     for sample in range(b):
-        fx, fy = (float(value) for value in _of(_array(state.scene.intrinsics), sample)[:2])
-        focal = math.sqrt(fx * fy)
-        far_m, reach_m = p.far_m, state.air.particle_reach_m
-        if reach_m is not None:
-            far_m = min(far_m, max(float(_of(_array(reach_m), sample)), 1e-6))
-        own_mean, own_variance = _of(mean, sample), _of(variance, sample)
+        own, axis = _haze_of(population, state, tables, sample, longest=fog_per_m is not None)
         clear: Array = NOTHING
         if fog_per_m is not None:
             fog = float(_of(_array(fog_per_m), sample))
-            clear = _clear_table(own_mean, t.log_footprint_low, t.log_footprint_step, focal, longest, fog)
-        scaled = own_variance * np.float32(focal)
-        nearest, farthest = (
-            np.array([scaled[place] for place in places])
-            for places in zip(*((shell.first_node, shell.last_node) for shell in p.haze_shells), strict=True)
-        )
-        steep = 1.0 if p.haze_steep else 0.0
-        axis = HazeAxis(focal, far_m, t.log_footprint_low, t.log_footprint_step, longest, float(p.haze_slope), steep)
-        own = (fields[sample], _of(depth, sample), _of(ray, sample), own_mean, own_variance, clear)
+            clear = _clear_table(own.mean, t.log_footprint_low, t.log_footprint_step, axis.scale, axis.longest, fog)
+        maps = (fields[sample], _of(depth, sample), _of(ray, sample))
         into = (optical.numpy()[sample, 0], NOTHING if faded is None else faded.numpy()[sample, 0])
-        haze_rows(*into, *own, _of(along, sample), _of(across, sample), nearest, farthest, axis, first)
+        haze_rows(*into, *maps, clear, own, axis, first)
     return optical, faded
+
+
+def _haze_of(
+    population: Population, state: CameraState, tables: AtRate, sample: int, *, longest: bool = False
+) -> tuple[HazeTables, HazeAxis]:
+    """Tables of the haze of one sample; the length of the longest ray only where wanted."""
+    from torchweather.camera.particles.compiled_haze import HazeAxis, HazeTables
+
+    p, t = population, population.tables
+    names = ("haze_depth", "haze_variance", "kernel_along", "kernel_across")
+    mean, variance, along, across = (_of(_array(getattr(tables, name)), sample) for name in names)
+    fx, fy = (float(value) for value in _of(_array(state.scene.intrinsics), sample)[:2])
+    focal = math.sqrt(fx * fy)
+    far_m, reach_m = p.far_m, state.air.particle_reach_m
+    if reach_m is not None:
+        far_m = min(far_m, max(float(_of(_array(reach_m), sample)), 1e-6))
+    scaled = variance * np.float32(focal)
+    lowest, highest = (
+        np.array([scaled[place] for place in places])
+        for places in zip(*((shell.first_node, shell.last_node) for shell in p.haze_shells), strict=True)
+    )
+    ray = float(state.scene.ray_per_depth.amax()) if longest else 1.0
+    steep = 1.0 if p.haze_steep else 0.0
+    axis = HazeAxis(focal, far_m, t.log_footprint_low, t.log_footprint_step, ray, float(p.haze_slope), steep)
+    return HazeTables(mean, variance, along, across, lowest, highest), axis
+
+
+def frame_behind(
+    population: Population, state: CameraState, noise: Mapping[str, Tensor], tables: AtRate, colour: Tensor
+) -> tuple[Tensor, Tensor | None]:
+    """The frame behind one kind of particles in clear air, and the covered share of the exposure where it is kept.
+
+    Args:
+        population, state, noise, tables: as of ``listed_depth``.
+        colour: ``(B, 3)`` of the particles.
+    """
+    from torchweather.camera.particles.compiled_veil import veil_rows
+
+    signal = state.image.signal.detach().contiguous()
+    out = torch.empty_like(signal)
+    b, _, height, width = signal.shape
+    mask = torch.empty(b, 1, height, width) if state.receiver.keep_truth else None
+    sharp, _ = _by_columns(population, state, noise, tables)
+    light = colour_rows(state, colour.to(signal.dtype))
+    fields, scene, tasks = _array(noise[f"{population.weather.kind}_haze"]), state.scene, []
+    for sample in range(b):
+        own, axis = _haze_of(population, state, tables, sample)
+        kept = NOTHING if mask is None else mask[sample, 0].numpy()
+        frame = (out[sample].numpy(), kept, signal[sample].numpy(), sharp[sample], light[sample])
+        near, depth_m, ray = (map_of(one, sample) for one in (scene.near_mask, scene.depth_m, scene.ray_per_depth))
+        one = partial(veil_rows, *frame, near, fields[sample], depth_m, ray)
+        tasks += [partial(one, own, axis, first, last) for first, last in bands_of(height)]
+    side_by_side(tasks)
+    return out, mask
 
 
 def _clear_table(mean: Array, low: float, step: float, focal: float, longest: float, fog_per_m: float) -> Array:

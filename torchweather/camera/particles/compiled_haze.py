@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from torchweather.camera.compiled_math import exp_of, log_of_sum
 from torchweather.core.compiled import jit
 
-__all__ = ["HazeAxis", "haze_rows"]
+__all__ = ["HazeAxis", "HazeTables", "Streaks", "Work", "haze_row", "haze_rows", "streaks_of", "work_of"]
 
 Array = NDArray[np.float32]
+Whole = NDArray[np.int64]
 
 
 class HazeAxis(NamedTuple):
@@ -50,8 +51,8 @@ class Streaks(NamedTuple):
     """Taps of the streaks of every shell, and the rows of noise at hand; made by ``streaks_of``.
 
     Args:
-        place, aside, weight, count: taps along the streaks: pixels along, pixels aside, weight, and how many.
-        place_across, weight_across, count_across: taps across them.
+        place, aside, weight, taps: taps along the streaks: pixels along, pixels aside, weight, and how many.
+        place_across, weight_across, taps_across: taps across them.
         ring: ``(J, rows, W + 2 pad)`` rows of noise, wrapped at their ends.
         filled: ``(J,)`` first row that is not in the ring yet.
         spare: ``(1, W + 2 side)`` sums along the streaks.
@@ -61,18 +62,18 @@ class Streaks(NamedTuple):
         steep: streaks run down the image.
     """
 
-    place: NDArray[np.int64]
-    aside: NDArray[np.int64]
+    place: Whole
+    aside: Whole
     weight: Array
-    count: NDArray[np.int64]
-    place_across: NDArray[np.int64]
+    taps: Whole
+    place_across: Whole
     weight_across: Array
-    count_across: NDArray[np.int64]
+    taps_across: Whole
     ring: Array
-    filled: NDArray[np.int64]
+    filled: Whole
     spare: Array
-    which: NDArray[np.int64]
-    begin: NDArray[np.int64]
+    which: Whole
+    begin: Whole
     product: Array
     reach: int
     pad: int
@@ -90,7 +91,7 @@ def _blend(shift: float) -> tuple[int, float, float]:
 
 
 @jit
-def taps_of(kernels: Array, slope: float) -> tuple[Array, Array, Array, Array]:
+def _taps_of(kernels: Array, slope: float) -> tuple[Whole, Whole, Array, Whole]:
     """Taps of each shell's kernel ``(J, taps)``: place along it, pixels aside, weight, and how many there are."""
     shells, size = kernels.shape
     place, aside = np.zeros((shells, 2 * size), np.int64), np.zeros((shells, 2 * size), np.int64)
@@ -130,7 +131,7 @@ def _add_four(out: Array, a: Array, b: Array, c: Array, d: Array, weights: Array
 
 
 @jit
-def _add_rows(out: Array, rows: Array, which: Array, begin: Array, weight: Array, count: int) -> None:
+def _add_rows(out: Array, rows: Array, which: Whole, begin: Whole, weight: Array, count: int) -> None:
     """Add weighted rows, each from a column of its own on; four at a time, so that the sum is read less often."""
     size, at = out.size, 0
     while at + 4 <= count:
@@ -173,7 +174,7 @@ def _streaky_row(out: Array, noise: Array, shell: int, row: int, streaks: Streak
         _wrapped(ring[some % slots], noise[some % height], pad)
     streaks.filled[shell] = row + reach + 1
     side = streaks.side
-    spare, count = streaks.spare, streaks.count[shell]
+    spare, count = streaks.spare, streaks.taps[shell]
     if streaks.steep:  # along the rows first, wide enough for the columns aside
         for tap in range(count):
             streaks.which[tap] = (row + streaks.place[shell, tap]) % slots
@@ -182,14 +183,14 @@ def _streaky_row(out: Array, noise: Array, shell: int, row: int, streaks: Streak
         _clear(wide)
         _add_rows(wide, ring, streaks.which, streaks.begin, streaks.weight[shell], count)
         _clear(out)
-        across = streaks.count_across[shell]
+        across = streaks.taps_across[shell]
         for tap in range(across):
             streaks.which[tap] = 0
             streaks.begin[tap] = side + streaks.place_across[shell, tap]
         _add_rows(out, spare, streaks.which, streaks.begin, streaks.weight_across[shell], across)
         return
     _clear(out)
-    for tap_across in range(streaks.count_across[shell]):
+    for tap_across in range(streaks.taps_across[shell]):
         lower = row + streaks.place_across[shell, tap_across]
         for tap in range(count):
             streaks.which[tap] = (lower + streaks.aside[shell, tap]) % slots
@@ -207,8 +208,8 @@ def streaks_of(along: Array, across: Array, width: int, slope: float, steep: flo
         width: of the frame.
         slope, steep: of ``HazeAxis``.
     """
-    place, aside, weight, count = taps_of(along, slope)
-    place_across, _, weight_across, count_across = taps_of(across, 0.0)
+    place, aside, weight, count = _taps_of(along, slope)
+    place_across, _, weight_across, count_across = _taps_of(across, 0.0)
     far, far_aside, side = np.abs(place).max(), np.abs(aside).max(), np.abs(place_across).max()
     down = steep == 1.0
     reach, pad = (far, far_aside + side) if down else (far_aside + side, far)
@@ -216,8 +217,25 @@ def streaks_of(along: Array, across: Array, width: int, slope: float, steep: flo
     ring = np.empty((shells, 2 * reach + 1, width + 2 * pad), np.float32)
     filled, spare = np.full(shells, -(1 << 40)), np.empty((1, width + 2 * side), np.float32)
     which, begin, product = np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most, np.float32)
-    taps = (place, aside, weight, count, place_across, weight_across, count_across)
-    return Streaks(*taps, ring, filled, spare, which, begin, product, reach, pad, side, down)
+    return Streaks(
+        place,
+        aside,
+        weight,
+        count,
+        place_across,
+        weight_across,
+        count_across,
+        ring,
+        filled,
+        spare,
+        which,
+        begin,
+        product,
+        reach,
+        pad,
+        side,
+        down,
+    )
 
 
 @jit
@@ -279,6 +297,72 @@ def _faded_row(
         faded[at] = optical[at] * weight * scale / max(mean[at], FLOOR)
 
 
+class HazeTables(NamedTuple):
+    """Tables of the haze of one sample.
+
+    Args:
+        mean, variance: ``(G,)`` over the footprint.
+        along, across: ``(J, taps)`` kernels of each shell.
+        lowest, highest: ``(J,)`` variance in front of each shell and at its end.
+    """
+
+    mean: Array
+    variance: Array
+    along: Array
+    across: Array
+    lowest: Array
+    highest: Array
+
+
+class Work(NamedTuple):
+    """Arrays of one row, ``(W,)``; made by ``work_of``."""
+
+    field: Array
+    deviation: Array
+    mean: Array
+    variance: Array
+    place: Array
+
+
+@jit
+def work_of(width: int) -> Work:
+    """Arrays for rows of a width."""
+    rows = np.empty((5, width), np.float32)
+    return Work(rows[0], rows[1], rows[2], rows[3], rows[4])
+
+
+@jit
+def haze_row(
+    optical: Array,
+    noise: Array,
+    depth_m: Array,
+    ray: Array,
+    tables: HazeTables,
+    axis: HazeAxis,
+    streaks: Streaks,
+    work: Work,
+    row: int,
+) -> None:
+    """Write the optical depth of the haze in one row of a frame; mean and place in the tables stay in ``work``.
+
+    Args:
+        optical: ``(W,)``, written.
+        noise: ``(J, H, W)`` white noise of each shell of the haze.
+        depth_m, ray: ``(W,)`` scene depth and length of ray per depth.
+        tables, axis, streaks: of the sample.
+        work: written.
+        row: of the frame.
+    """
+    _tables_row(work.mean, work.variance, work.place, depth_m, tables.mean, tables.variance, axis)
+    _clear(work.deviation)
+    most = work.variance.max()
+    for shell in range(noise.shape[0]):
+        if most > tables.lowest[shell]:  # nowhere else does a shell in this row reach into the air before the scene
+            _streaky_row(work.field, noise[shell], shell, row, streaks)
+            _add_shell(work.deviation, work.variance, work.field, tables.lowest[shell], tables.highest[shell])
+    _lognormal_row(optical, work.mean, work.variance, work.deviation, ray)
+
+
 @jit
 def haze_rows(
     optical: Array,
@@ -286,13 +370,8 @@ def haze_rows(
     noise: Array,
     depth_m: Array,
     ray: Array,
-    mean_table: Array,
-    variance_table: Array,
     clear_table: Array,
-    along: Array,
-    across: Array,
-    lowest: Array,
-    highest: Array,
+    tables: HazeTables,
     axis: HazeAxis,
     first: int,
 ) -> None:
@@ -303,25 +382,13 @@ def haze_rows(
         faded: the same weighted with the fog's transmission, written; ``(0, 0)`` without fog.
         noise: ``(J, H, W)`` white noise of each shell of the haze.
         depth_m, ray: ``(rows, W)`` scene depth and length of ray per depth.
-        mean_table, variance_table: ``(G,)`` over the footprint.
         clear_table: ``(N, G)`` haze per focal length weighted with the fog's transmission, for N lengths of ray.
-        along, across: ``(J, taps)`` kernels.
-        lowest, highest: ``(J,)`` variance in front of each shell and at its end.
-        axis: numbers.
+        tables, axis: of the sample.
         first: row of the frame that ``optical`` begins with.
     """
     rows, width = optical.shape
-    streaks = streaks_of(along, across, width, axis.slope, axis.steep)
-    field, deviation = np.empty(width, np.float32), np.empty(width, np.float32)
-    mean, variance, place = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    streaks, work = streaks_of(tables.along, tables.across, width, axis.slope, axis.steep), work_of(width)
     for row in range(rows):
-        _tables_row(mean, variance, place, depth_m[row], mean_table, variance_table, axis)
-        _clear(deviation)
-        most = variance.max()
-        for shell in range(noise.shape[0]):
-            if most > lowest[shell]:  # nowhere else does a shell in this row reach into the air before the scene
-                _streaky_row(field, noise[shell], shell, first + row, streaks)
-                _add_shell(deviation, variance, field, lowest[shell], highest[shell])
-        _lognormal_row(optical[row], mean, variance, deviation, ray[row])
+        haze_row(optical[row], noise, depth_m[row], ray[row], tables, axis, streaks, work, first + row)
         if faded.size > 0:
-            _faded_row(faded[row], optical[row], mean, place, ray[row], clear_table, axis)
+            _faded_row(faded[row], optical[row], work.mean, work.place, ray[row], clear_table, axis)

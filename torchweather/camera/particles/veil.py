@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import Rain, Snow, weather_from_dict
 from torchweather.camera.airlight import Airlight, airlight_argument, frame_mean, given_or_estimated, scaled_airlight
+from torchweather.camera.compiled_rows import on_processor
 from torchweather.camera.flake_light import flake_light
 from torchweather.camera.fog import FADING_COLOUR
 from torchweather.camera.options import RENAMED
@@ -334,8 +335,12 @@ class ParticleVeil(Stage):
             # Particles reach to the far limit in front of the sky. A pixel that is mostly sky shows those, not the few
             # in front of the leaf that it has in part: where the share comes near 1, nothing jumps.
             state = state.changed(depth_m=torch.where(state.scene.sky > 0.5, torch.inf, state.scene.depth_m))
-        colours = [state.per_pixel(colour) for colour in self._colours(state)]
+        each_colour = self._colours(state)
         tables = [part.in_air(state) for part in self.parts]
+        if self._is_in_one_pass(state, noise, tables, each_colour):
+            signal, covered = compiled.frame_behind(self.parts[0], state, noise, tables[0], each_colour[0])
+            return before.changed(signal=signal, particle_mask=covered)
+        colours = [state.per_pixel(colour) for colour in each_colour]
         contrast = state.air.particle_contrast
         fog = state.air.fog_extinction_per_m
         fog_per_m = None if fog is None else fog[:, FADING_COLOUR].float()
@@ -388,6 +393,17 @@ class ParticleVeil(Stage):
             band, state.image.signal.shape, state.image.signal, apart=True, band_pixels=planes * BAND_PIXELS
         )
         return before.changed(signal=results[0], particle_mask=results[1] if state.receiver.keep_truth else None)
+
+    def _is_in_one_pass(
+        self, state: CameraState, noise: Mapping[str, Tensor], tables: Sequence[AtRate], colours: Sequence[Tensor]
+    ) -> bool:
+        """True where compiled loops take one kind of particles in clear air from the points to the frame."""
+        air, scene = state.air, state.scene
+        if len(self.parts) != 1 or air.particle_contrast is not None or air.lamp_light is not None:
+            return False
+        if air.fog_extinction_per_m is not None or not compiled.covers(self.parts[0], state, noise, tables[0]):
+            return False
+        return on_processor(state.image.signal, scene.depth_m, scene.ray_per_depth, scene.near_mask, colours[0])
 
     def _falling(self, batch: int) -> list[bool]:
         """Whether anything falls in each sample; where a rate is learnt, something may."""
