@@ -84,7 +84,7 @@ def test_both_are_shown_side_by_side(searched: dict[str, Any], tmp_path: Path, c
 
 
 def test_json_holds_both(searched: dict[str, Any], tmp_path: Path, capsys: Capture) -> None:
-    assert demo(tmp_path, "--json", seed=NOTHING) == 0
+    assert demo(tmp_path, "--json", "--allow-none", seed=NOTHING) == 0
     said = json.loads(capsys.readouterr().out)
     truth = (tmp_path / "truth.json").read_bytes()
     assert said["hidden"] == json.loads(truth)
@@ -93,6 +93,16 @@ def test_json_holds_both(searched: dict[str, Any], tmp_path: Path, capsys: Captu
     assert (said["seed"], said["truth_sha256"]) == (NOTHING, hashlib.sha256(truth).hexdigest())
     assert not said["right"]
     assert said["outcome"].startswith("Wrong: nothing was hidden")
+
+
+def test_something_is_hidden_unless_none_is_allowed(searched: dict[str, Any], tmp_path: Path, capsys: Capture) -> None:
+    assert demo(tmp_path, "--json", seed=NOTHING) == 0
+    assert len(json.loads(capsys.readouterr().out)["hidden"]["effects"]) == 1
+
+
+def test_none_is_not_allowed_of_a_study(tmp_path: Path, capsys: Capture) -> None:
+    assert main(["gap", str(tmp_path), "--out", str(tmp_path / "out"), "--allow-none"]) == 2
+    assert "--allow-none belongs to the demo" in capsys.readouterr().err
 
 
 def test_without_a_seed_each_demo_is_another(searched: dict[str, Any], tmp_path: Path, capsys: Capture) -> None:

@@ -31,6 +31,7 @@ from torchweather.gap.statistics.frame_statistics import Group, Layout
 from torchweather.lidar.effects.all import LidarRangeNoise, LidarWindowLoss
 from torchweather.lidar.effects.empirical import Empirical
 from torchweather.pipeline.effect import Parameter
+from torchweather.report.gap_words import verdict_sentence
 from torchweather.sensors import Camera, Lidar
 from torchweather.stages import EFFECTS, with_effects
 from torchweather.transforms import BayerRain, LidarWeather
@@ -301,6 +302,20 @@ def test_an_interval_is_ninety_percent_of_that_error_inside_the_bounds() -> None
     half = 1.6449 * _standard_error(declared, 1.5, 0.01)
     assert one["interval"]["loss_db"] == pytest.approx([1.5 - half, 1.5 + half], rel=1e-5)
     assert one["interval"]["loss_db"][0] > declared.low
+
+
+@pytest.mark.parametrize(("loss_db", "end"), [(1.5, None), (30.0, "highest"), (29.99, "highest"), (0.0, None)])
+def test_a_value_at_the_end_of_what_is_searched_is_said(loss_db: float, end: str | None) -> None:
+    """The true one may lie beyond it; where the effect does nothing is no such end."""
+    (declared,) = LidarWindowLoss.arguments
+    assert (declared.low, declared.high, declared.identity) == (0.0, 30.0, 0.0)
+    given = fitted()
+    values = given["fit"].point.values["lidar.window_loss"]
+    values["loss_db"] = loss_db
+    report = gap_report(result("named", ripple(0.01), **given), "ab" * 32, 3)
+    (one,) = report.to_dict()["effects"]
+    assert one["at_bound"] == ({} if end is None else {"loss_db": end})
+    assert ("the true one may be higher" in verdict_sentence(report.to_dict())) == (end is not None)
 
 
 def test_the_record_moves_by_one_factor_and_by_each_condition() -> None:

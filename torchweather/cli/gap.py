@@ -19,9 +19,9 @@ conditions held out. Writes gap.json (the answer), model.yaml (the effects to ad
 missing, and that something is missing which no effect explains, are answers too: the exit code is 0 whatever the
 verdict. Takes studies of LiDARs, cameras, radars and microwave links.
 
-torchweather gap demo --out DIR makes a small study of the embedded scene in which an effect drawn at random, or none,
-is hidden, searches it, and shows side by side what was hidden and what was found. A study folder of that name is
-./demo."""
+torchweather gap demo --out DIR makes a small study of the embedded scene in which an effect drawn at random is hidden,
+searches it, and shows side by side what was hidden and what was found. With --allow-none there is at times nothing to
+find. A study folder of that name is ./demo."""
 
 DEMO = "demo"
 
@@ -39,6 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         help="of the simulation; default 0. Of all that is drawn for the demo; default another each time",
     )
+    parser.add_argument(
+        "--allow-none", action="store_true", help="of the demo: hide no effect as often as any one of them"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
@@ -52,6 +55,8 @@ def run(args: argparse.Namespace) -> int:
     from torchweather.report.gap_page import write_gap
     from torchweather.report.gap_words import verdict_sentence
 
+    if args.allow_none:
+        raise InputValueError("gap: --allow-none belongs to the demo; what a study lacks is not drawn.")
     effects = None if args.effects is None else [name.strip() for name in args.effects.split(",") if name.strip()]
     if effects is not None and not effects:
         raise InputValueError("gap: --effects must name an effect or more, such as lidar.window_loss; got none.")

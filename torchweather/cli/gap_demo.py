@@ -1,4 +1,7 @@
-"""``torchweather gap demo``: an effect drawn at random and hidden, searched for, and held against the truth."""
+"""``torchweather gap demo``: an effect drawn at random and hidden, searched for, and held against the truth.
+
+Nothing is hidden only where that is asked for (``--allow-none``).
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     if args.effects is not None:
         raise InputValueError("gap: --effects belongs to a study; the demo searches the whole catalogue.")
     seed = secrets.randbelow(SEEDS) if args.seed is None else args.seed
-    hidden = drawn_study(seed)
+    hidden = drawn_study(seed, allow_none=args.allow_none)
     hidden.study.write(args.out / STUDY)
     sha256 = seal(args.out / TRUTH, hidden.truth())
     # Told whether progress is wanted or not: that it comes before the search is what it is worth.

@@ -47,6 +47,7 @@ AXES_OF_ONE = 2  # of one statistic, that are shown
 # Share of right names that some tens of development studies were given, rounded: where nothing is left, and where
 # something is.
 RIGHT = {"named": 0.95, "named_and_rest": 0.8}
+AT_BOUND = 1e-3  # of the span of a parameter, within which a value stands at its end
 LIKELY = 0.05  # of the best candidate's weight, from which another cannot be excluded
 DIGITS = 6  # significant
 
@@ -263,9 +264,25 @@ def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[Sequence[f
         "name": name,
         "parameters": dict(values),
         "interval": interval,
+        "at_bound": _at_bound(name, fit, result, values),
         "confidence": confidence * RIGHT[result.verdict],
         "confusable_with": list(dict.fromkeys(others)),
     }
+
+
+def _at_bound(name: str, fit: Fit, result: GapResult, values: Mapping[str, float]) -> dict[str, str]:
+    """Fitted parameters that stand at an end of the values that are searched, and at which one: the true value may lie
+    beyond it. An end where the effect does nothing is none."""
+    found = {}
+    for effect, parameter in fit.names:
+        if effect != name:
+            continue
+        declared = next(one for one in effect_class(result.search.model, name).arguments if one.name == parameter)
+        room = AT_BOUND * (declared.high - declared.low)
+        for end, bound in (("lowest", declared.low), ("highest", declared.high)):
+            if bound != declared.identity and abs(values[parameter] - bound) <= room:
+                found[parameter] = end
+    return found
 
 
 def _standard_error(declared: Parameter, value: float, variance: float) -> float:

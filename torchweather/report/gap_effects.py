@@ -12,6 +12,7 @@ from torchweather.report.gap_figures import response_uri, unknown_uri
 from torchweather.report.gap_words import (
     WHOLE,
     axis_name,
+    bound_sentence,
     confidence_text,
     edge_text,
     effect_name,
@@ -87,6 +88,10 @@ def _found(
         parts.Heading(effect_name(name).capitalize(), small),
         parts.Table(heads, rows, look="short"),
         parts.Note(f"Confidence {confidence}: its weight among the effects that were fitted."),
+    ]
+    found += [
+        parts.Alert(bound_sentence(effect, *one), "At the end of what is searched:")
+        for one in effect.get("at_bound", {}).items()
     ]
     rivals = dict.fromkeys([*effect["confusable_with"], *declared.confusable_with])
     rivals = {rival: None for rival in rivals if rival in answer["catalogue"]}

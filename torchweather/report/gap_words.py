@@ -13,6 +13,7 @@ from torchweather.stages.catalogue import EFFECTS
 __all__ = [
     "WHOLE",
     "axis_name",
+    "bound_sentence",
     "confidence_text",
     "edge_text",
     "effect_name",
@@ -165,6 +166,8 @@ SILENT_TWINS = {
 }
 WHOLE = ("frame", "time", "place", "all_targets")  # axes with one bin
 SURE = 0.995
+BEYOND = {"lowest": "lower", "highest": "higher"}
+UNDETERMINED = "not determined by these data"  # an interval that is all that is searched
 TINY_P = 1e-6
 NO_END = 1e4  # an edge from it on is none
 SKY_FROM_M = 1e4  # a depth beyond it is the sky's
@@ -293,6 +296,8 @@ def parameter_rows(effect: Mapping[str, Any]) -> list[dict[str, str]]:
             continue
         unit = "" if one is None or one.unit == "1" else one.unit
         between = " to ".join(signed_text(end) for end in interval[name]) if name in interval else ""
+        if name in interval and one is not None and list(interval[name]) == [one.low, one.high]:
+            between = UNDETERMINED
         does_nothing = "" if one is None or one.identity is None else signed_text(one.identity)
         rows.append(
             {"name": name, "value": signed_text(value), "unit": unit, "interval": between, "identity": does_nothing}
@@ -339,12 +344,35 @@ def verdict_sentence(answer: Mapping[str, Any]) -> str:
         return f"Something is missing that no effect of the catalogue explains{_seen(answer)}; {change}."
     found = "; and ".join(_lack(effect) for effect in answer["effects"])
     text = f"The simulation lacks {found}; {change}."
+    for effect in answer["effects"]:
+        text += "".join(f" {bound_sentence(effect, *one)}" for one in effect.get("at_bound", {}).items())
     others = list(dict.fromkeys(name for effect in answer["effects"] for name in effect["confusable_with"]))
     if others:
         text += f" These data cannot exclude {_listed([effect_name(name) for name in others], 'or')} in its place."
     if answer["verdict"] == "named_and_rest":
         text += f" More is missing, which no effect of the catalogue explains{_seen(answer)}."
     return text
+
+
+def bound_sentence(effect: Mapping[str, Any], parameter: str, end: str) -> str:
+    """What is said of a value that stands at an end of those that are searched.
+
+    Args:
+        effect: of the answer's ``effects``.
+        parameter: its name.
+        end: ``lowest`` or ``highest``.
+
+    Example:
+        >>> brighter = {"name": "lidar.particle_backscatter", "parameters": {"gain_db": 10.0}}
+        >>> bound_sentence(brighter, "gain_db", "highest")
+        'gain_db of particle backscatter is the highest value that is searched, 10.0 dB: the true one may be higher.'
+    """
+    declared = {one.name: one for one in EFFECTS[effect["name"]].arguments} if effect["name"] in EFFECTS else {}
+    unit = "" if parameter not in declared or declared[parameter].unit == "1" else f" {declared[parameter].unit}"
+    return (
+        f"{parameter} of {effect_name(effect['name'])} is the {end} value that is searched, "
+        f"{signed_text(effect['parameters'][parameter])}{unit}: the true one may be {BEYOND[end]}."
+    )
 
 
 def _lack(effect: Mapping[str, Any]) -> str:

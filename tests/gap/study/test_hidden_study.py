@@ -139,6 +139,13 @@ def test_draws_lie_within_their_spans_and_any_effect_comes() -> None:
     assert {effect.id if effect else None for effect, _ in drawn} == {None, *HIDEABLE}
 
 
+def test_none_is_drawn_only_where_that_is_allowed() -> None:
+    with_none, without = ([drawn_effect(seed, allow_none=allowed) for seed in range(100)] for allowed in (True, False))
+    assert any(effect is None for effect, _ in with_none)
+    assert all(effect is not None for effect, _ in without)
+    assert all(repr(one) == repr(other) for one, other in zip(with_none, without, strict=True) if one[0] is not None)
+
+
 def test_the_draw_is_that_of_its_seed() -> None:
     one, again, other = (drawn_study(seed, columns=16) for seed in (4, 4, 8))
     assert (one.truth(), one.study.sha256) == (again.truth(), again.study.sha256)

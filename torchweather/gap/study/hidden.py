@@ -189,19 +189,24 @@ HIDEABLE: Mapping[str, Hideable] = {
 }
 
 
-def drawn_effect(seed: int) -> tuple[Effect | None, str]:
+def drawn_effect(seed: int, *, allow_none: bool = True) -> tuple[Effect | None, str]:
     """An effect of ``HIDEABLE`` with its parameters, or none, drawn at random, and the weather that shows it.
 
     Args:
         seed: of the draw.
+        allow_none: draw no effect as often as any one of them; ``False`` draws again until it is one.
 
     Example:
         >>> drawn_effect(2)
         (LidarWindowLoss(loss_db=2.490000009536743), 'rain')
+        >>> drawn_effect(3)[0] is None, drawn_effect(3, allow_none=False)[0] is None
+        (True, False)
     """
     draw = _stream(seed, "effect")
     choices: list[str | None] = [None, *HIDEABLE]
     name = choices[int(draw.integers(len(choices)))]
+    while name is None and not allow_none:
+        name = choices[int(draw.integers(len(choices)))]
     if name is None:
         return None, str(draw.choice(list(WEATHERS)))
     chosen = HIDEABLE[name]
@@ -209,14 +214,15 @@ def drawn_effect(seed: int) -> tuple[Effect | None, str]:
     return EFFECTS[name](**values), chosen.weather
 
 
-def drawn_study(seed: int, *, columns: int = 64) -> HiddenStudy:
+def drawn_study(seed: int, *, columns: int = 64, allow_none: bool = True) -> HiddenStudy:
     """A study in which an effect of `drawn_effect` is hidden, or none.
 
     Args:
         seed: of all that is drawn.
         columns: of the scan, as in `hidden_study`.
+        allow_none: as in `drawn_effect`.
     """
-    effect, weather = drawn_effect(seed)
+    effect, weather = drawn_effect(seed, allow_none=allow_none)
     return hidden_study([] if effect is None else [effect], WEATHERS[weather], columns=columns, seed=seed)
 
 
