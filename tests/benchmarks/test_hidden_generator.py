@@ -163,12 +163,33 @@ def test_the_number_of_drops_over_the_threshold_is_that_of_the_integral():
     assert above == pytest.approx(expected, abs=4.0 * math.sqrt(expected))
 
 
+@pytest.mark.parametrize(("kind", "amount"), [("rain", 60.0), ("snow", 1.0)])
+def test_a_pulse_adds_the_echoes_of_all_its_particles(kind, amount):
+    """Against lists of nearly all of them, each with its echo; the weak ones of the short list are a mean."""
+    beams, frames = 4096, 24
+    sensor = study_sensor(scan_pattern(32, 128), 1.0, 3.0)
+    seen = {}
+    for share in (0.5, 0.02):
+        for pulse_m in (0.0, sensor.pulse_length_m):
+            threshold = sensor.threshold_per_m2_sr
+            drops = draw_drops(
+                air_of(kind, amount, 865.0), sensor, beams, np.ones(frames), share * threshold,
+                1e-3 * sensor.divergence_mrad, np.random.default_rng(11), pulse_m,
+            )  # fmt: skip
+            bright = drops.signal >= threshold
+            seen[share, bool(pulse_m)] = len(set(zip(drops.frame[bright], drops.beam[bright], strict=True)))
+    few, all_of_them = seen[0.5, True], seen[0.02, True]
+    assert all_of_them > 1.02 * seen[0.02, False]
+    # Two draws of their numbers, and what the scatter of the weak echoes lifts over the threshold beside their mean.
+    assert few == pytest.approx(all_of_them, rel=3.0 * math.sqrt(2.0 / few) + 0.02)
+
+
 def test_the_share_of_beams_with_a_flake_is_that_of_a_poisson_number():
     view = _view(np.inf, near=(2.0, 10.0))
     report = shoot(view, Weather("snow", 1.0), (), np.arange(float(FRAMES)), np.random.default_rng(5))
     drops = draw_drops(
         air_of("snow", 1.0, 865.0), view.sensor, view.beams, np.ones(FRAMES), view.sensor.threshold_per_m2_sr,
-        1e-3 * view.sensor.divergence_mrad, np.random.default_rng(6),
+        1e-3 * view.sensor.divergence_mrad, np.random.default_rng(6), view.sensor.pulse_length_m,
     )  # fmt: skip
     alpha = air_of("snow", 1.0, 865.0).extinction_per_m
     above = drops.signal * np.exp(-2.0 * alpha * drops.range_m) >= view.sensor.threshold_per_m2_sr

@@ -106,7 +106,10 @@ def _drops(shot: Shot) -> Drops:
     """Particles in front of each target, with the loss on the way."""
     sensor = shot.sensor
     divergence = 1e-3 * sensor.divergence_mrad + shot.extra_divergence_rad
-    drops = draw_drops(shot.air, sensor, shot.view.beams, shot.density, _floor(shot), divergence, shot.drops_rng)
+    pulse_m = sensor.pulse_length_m
+    drops = draw_drops(
+        shot.air, sensor, shot.view.beams, shot.density, _floor(shot), divergence, shot.drops_rng, pulse_m
+    )
     keep = drops.range_m < shot.view.target.range_m[drops.beam]
     if np.isfinite(shot.extent_m):
         keep &= shot.drops_rng.random(len(keep)) < shot.density_at(drops.range_m)

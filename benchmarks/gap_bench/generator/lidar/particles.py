@@ -10,12 +10,12 @@ import torch
 
 from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.physics import (
-    FLAKE_ALBEDO,
     Q_EFF,
     SizeDistribution,
     effective_extinction_per_m,
     extinction_and_backscatter,
     extinction_per_m,
+    flake_reflectivity,
     melted_diameter_mm,
     physical_diameter_mm,
     rain_q_back,
@@ -54,7 +54,7 @@ def air_of(kind: str, amount: float, wavelength_nm: float) -> Air:
     """Optics of ``rain`` or ``snow`` of a rate, mm/h, ``fog`` of a visibility, m, or ``clear`` air.
 
     A drop of diameter D in a beam of diameter D_b sends back ``Q_back / (4 pi) min(1, (D / D_b)^2)``, a flake
-    ``rho / pi min(1, (D / D_b)^2)`` (PHYSICS.md 5.3, 5.9).
+    ``rho / pi min(1, (D / D_b)^2)`` with the reflectivity rho of a thin flake (PHYSICS.md 5.3, 5.9, 10.3).
     """
     if kind == "clear":
         return Air(0.0, 0.0, 0.0, None)
@@ -63,7 +63,8 @@ def air_of(kind: str, amount: float, wavelength_nm: float) -> Air:
         return Air(float(effective_extinction_per_m(alpha, Q_EFF["fog"])), float(beta), 0.0, None)
     sizes = (Rain if kind == "rain" else Snow)(amount).distribution()
     alpha = float(effective_extinction_per_m(extinction_per_m(sizes, wavelength_nm), Q_EFF[kind]))
-    full = rain_q_back(wavelength_nm) / (4.0 * np.pi) if kind == "rain" else FLAKE_ALBEDO / np.pi
+    flake = float(flake_reflectivity(torch.tensor([wavelength_nm], dtype=torch.float64))[0])
+    full = rain_q_back(wavelength_nm) / (4.0 * np.pi) if kind == "rain" else flake / np.pi
     return Air(alpha, 0.0, float(full), sizes)
 
 
@@ -101,6 +102,7 @@ def draw_drops(
     floor_signal: float,
     divergence_rad: float,
     rng: np.random.Generator,
+    pulse_m: float = 0.0,
 ) -> Drops:
     """All particles of all beams that can send back ``floor_signal`` or more.
 
@@ -114,6 +116,7 @@ def draw_drops(
         floor_signal: 1/(m^2 sr); weaker particles are not listed.
         divergence_rad: full angle of the cone.
         rng: draws.
+        pulse_m: length over which a pulse adds the echoes of the others; 0: each particle alone.
     """
     sizes = air.sizes
     assert sizes is not None
@@ -144,8 +147,48 @@ def draw_drops(
     counted = sizes.inverse_tail(torch.from_numpy(rng.random(total) * tail[cell]))
     outline = (physical_diameter_mm(counted) if flakes else counted).numpy() * 1e-3
     share = np.minimum(1.0, (outline / wide) ** 2)
-    signal = air.full_echo_per_sr * share * near_response(sensor, range_m) / range_m**2
-    return Drops(frame, rng.integers(beams, size=total), range_m, signal)
+    full_beam = air.full_echo_per_sr * near_response(sensor, range_m) / range_m**2
+    # Those too weak to be listed: their mean echo over the length of a pulse adds to every listed one.
+    unlisted = density[frame] * _outline_area_per_m(sizes, outline_mm[used][cell]) * pulse_m
+    found = Drops(frame, rng.integers(beams, size=total), range_m, full_beam * (share + unlisted))
+    return found if pulse_m == 0.0 else _with_others_of_the_pulse(found, full_beam * share, beams, pulse_m)
+
+
+@lru_cache(maxsize=256)
+def _areas(sizes: SizeDistribution) -> tuple[FloatArray, FloatArray]:
+    """Outlines, mm, and the summed area of all smaller ones, m^2 per m^3."""
+    counted = torch.from_numpy(np.geomspace(1e-2, 25.0, 2000))
+    outline = (physical_diameter_mm(counted) if sizes.particle == "melted-flake" else counted).numpy()
+    number = -np.diff(sizes.tail_per_m3(counted).numpy())
+    middle = 1e-3 * np.sqrt(outline[1:] * outline[:-1])
+    return outline, np.concatenate([[0.0], np.cumsum(number * np.pi / 4.0 * middle**2)])
+
+
+def _outline_area_per_m(sizes: SizeDistribution, largest_mm: FloatArray) -> FloatArray:
+    """Area of the outlines of all particles smaller than so many mm, m^2 per m^3: the share of a beam that they fill
+    per metre."""
+    outline, area = _areas(sizes)
+    return np.asarray(np.interp(largest_mm, outline, area))
+
+
+def _with_others_of_the_pulse(drops: Drops, alone: FloatArray, beams: int, pulse_m: float) -> Drops:
+    """Listed particles with the echoes of the other listed ones of their beam: a pulse of the shape sin^2 and the half
+    width l passes on ``cos^2(pi d / (2 l))`` of what lies d < l beside it (PHYSICS.md 10.4)."""
+    order = np.lexsort((drops.range_m, drops.frame.astype(np.int64) * beams + drops.beam))
+    ray = (drops.frame.astype(np.int64) * beams + drops.beam)[order]
+    range_m, own = drops.range_m[order], alone[order]
+    more = np.zeros(len(order))
+    for step in range(1, len(order)):
+        apart = range_m[step:] - range_m[:-step]
+        near = (ray[step:] == ray[:-step]) & (apart < pulse_m)
+        if not near.any():
+            break
+        share = np.where(near, np.cos(0.5 * np.pi * np.minimum(apart, pulse_m) / pulse_m) ** 2, 0.0)
+        more[step:] += share * own[:-step]
+        more[:-step] += share * own[step:]
+    signal = drops.signal.copy()
+    signal[order] += more
+    return Drops(drops.frame, drops.beam, drops.range_m, signal)
 
 
 def fog_echo(
