@@ -68,7 +68,7 @@ def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
     if is_exporting() or not points.numel():
         return
     # One sum sees every NaN and every infinity, and what is absurdly far; only then is it worth looking for them.
-    total = float(points.detach().sum(dtype=torch.float64))
+    total = float(points.detach().sum(dtype=torch.promote_types(points.dtype, torch.float32)))
     if not abs(total) < FARTHEST_M:
         _refuse_absurd(points.detach(), name)
     intensity = points.detach()[..., 3]

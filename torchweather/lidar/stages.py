@@ -55,6 +55,9 @@ DB = math.log(10.0) / 10.0
 LEAST_RAMP = 1e-4  # of the near-range response, so that margins stay finite
 THINNEST = 1e-6  # density of a beam that counts as none
 NO_RANGE_M2 = 1e-12  # keeps a beam without return from dividing by its range 0
+OF_POINTS = (  # of the scene: what a point that goes out is made of
+    *("points_in", "empty_direction", "clear_range_m", "clear_signal", "integral", "borrowed_intensity"),
+)
 OBJECT, PARTICLE, LOST = (int(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 
 
@@ -935,11 +938,30 @@ class ToPoints(SensorStage):
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the points that go out."""
         drawn = noise.get("range_noise")
-        clouds = [
-            self._cloud(state, echo, None if drawn is None else drawn[:, echo])
-            for echo in range(state.returns.range_m.shape[-1])
-        ]
-        return state.changed(points=clouds[0], second=clouds[1] if len(clouds) > 1 else None)
+        noises = [None if drawn is None else drawn[:, echo] for echo in range(state.returns.range_m.shape[-1])]
+        second = None
+        if len(noises) > 1:
+            second = self._cloud(state, 1, noises[1]) if is_exporting() else self._second(state, noises[1])
+        return state.changed(points=self._cloud(state, 0, noises[0]), second=second)
+
+    def _second(self, state: LidarState, noise: Tensor | None) -> Tensor:
+        """Points of the second echo as of ``_cloud``, worked out for the beams that have one; most have none."""
+        scene, clear = state.scene, state.scene.clear_range_m
+        sample, beam = (state.returns.kind[..., 1] != LOST).nonzero(as_tuple=True)
+        if 2 * len(beam) > clear.numel():
+            return self._cloud(state, 1, noise)
+
+        def own(values: Tensor) -> Tensor:
+            """Values ``(B or 1, N or 1, ...)`` of these beams, each a sample, ``(beams, 1, ...)``."""
+            return values.expand(*clear.shape, *values.shape[2:])[sample, beam][:, None]
+
+        known = {name: own(value) for name in OF_POINTS if (value := getattr(scene, name)) is not None}
+        echo = {name: own(getattr(state.returns, name)[..., 1:]) for name in ("range_m", "signal", "kind")}
+        found = self._cloud(state.changed(**known, **echo), 0, None if noise is None else own(noise))
+        # A beam without the echo: 0, or what came with it where it was empty.
+        points = scene.points_in
+        whole = torch.cat([torch.where(clear[..., None] > 0, 0.0, points[..., :4]), points[..., 4:]], -1)
+        return whole.index_put((sample, beam), found[:, 0])
 
     def _measured(self, range_m: Tensor, noise: Tensor | None) -> Tensor:
         """Range of a particle as the sensor measures it."""
@@ -966,16 +988,25 @@ class ToPoints(SensorStage):
             state.returns.kind[..., echo],
         )
         particle, lost = kind == PARTICLE, kind == LOST
-        range_m = torch.where(particle, self._measured(range_m, noise), range_m)
         gain = signal / torch.where(clear > 0, state.scene.clear_signal, 1.0)
         unit, intensity, integral = self.sensor.intensity_unit, state.scene.points_in[..., 3], state.scene.integral
-        if state.scene.borrowed_intensity is not None:
-            returned = state.scene.borrowed_intensity
+        dimmed, borrowed = dimmed_intensity(intensity, gain, unit, integral), state.scene.borrowed_intensity
+        per_signal = self.photons_at_threshold / state.receiver.threshold
+        if is_exporting():
+            range_m = torch.where(particle, self._measured(range_m, noise), range_m)
+            returned = borrowed
+            if returned is None:
+                returned = intensity_from_signal(signal, range_m, unit, integral, per_signal)
+            return range_m, torch.where(particle, returned, dimmed), lost
+        # Particles are few: what they return is worked out for them alone.
+        beams = particle.nonzero(as_tuple=True)
+        measured_m = self._measured(range_m[beams], None if noise is None else noise[beams])
+        if borrowed is None:
+            whole = integral.expand_as(range_m)[beams]
+            returned = intensity_from_signal(signal[beams], measured_m, unit, whole, per_signal)
         else:
-            per_signal = self.photons_at_threshold / state.receiver.threshold
-            returned = intensity_from_signal(signal, range_m, unit, integral, per_signal)
-        value = torch.where(particle, returned, dimmed_intensity(intensity, gain, unit, integral))
-        return range_m, value, lost
+            returned = borrowed[beams]
+        return range_m.index_put(beams, measured_m), dimmed.index_put(beams, returned.to(dimmed)), lost
 
     def _cloud(self, state: LidarState, echo: int, noise: Tensor | None) -> Tensor:
         """Points ``(B, N, C)`` of one reported echo."""

@@ -98,6 +98,10 @@ class LidarResult:
     sensor: ClassVar[str] = "lidar"
 
 
+class _OwnNoise(dict[str, Tensor]):
+    """Noise that a call has drawn for itself: its numbers are not checked again."""
+
+
 class LidarWeather(WeatherTransform):
     """Weather on LiDAR point clouds, organised or not.
 
@@ -349,7 +353,7 @@ class LidarWeather(WeatherTransform):
                 beside = {"directions": directions, "reach_m": reach_m}
                 return self.each_alone(self.forward, points, seed, generator, beside, 2)
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
-            return chosen.forward(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
+            return chosen.forward(points, chosen._own_noise(points, seeds), directions=directions, reach_m=reach_m)
         with _few_threads(points):
             beams, state = self._begin(points, directions, reach_m)
             state = _own_vehicle_restored(self._through(state, noise, points.shape[:-2], beams.first_row), beams)
@@ -378,7 +382,7 @@ class LidarWeather(WeatherTransform):
                 beside = {"directions": directions, "reach_m": reach_m}
                 return self.each_alone(self.run, points, seed, generator, beside, 2)
             chosen, seeds = self.at_call(points.shape[:-2], seed, generator)
-            return chosen.run(points, chosen.draw(points, seed=seeds), directions=directions, reach_m=reach_m)
+            return chosen.run(points, chosen._own_noise(points, seeds), directions=directions, reach_m=reach_m)
         with _few_threads(points):
             return self._run(points, noise, directions, reach_m)
 
@@ -425,6 +429,12 @@ class LidarWeather(WeatherTransform):
             scan=beams.scan,
             own_vehicle_points=None if beams.on_own is None else beams.on_own.sum(-1).reshape(lead),
         )
+
+    def _own_noise(self, points: Tensor, seeds: Tensor | None) -> _OwnNoise:
+        """What `draw` gives, for the call that follows, which checks the points."""
+        if self.complete_scan:  # looks for beams first
+            return _OwnNoise(self.draw(points, seed=seeds))
+        return _OwnNoise(self.drawn(points.shape[:-2], {"N": points.shape[-2]}, None, seeds))
 
     @outside_autocast
     def draw(
@@ -605,10 +615,11 @@ class LidarWeather(WeatherTransform):
             drawn = self.chain.draw(state)
             flat = {key: value.to(state.scene.points_in.device) for key, value in drawn.items()}
         else:
-            flat = {
-                key: value.to(state.scene.points_in.device)
-                for key, value in self._flat_noise(noise, state, batch).items()
-            }
+            if isinstance(noise, _OwnNoise):
+                known = {key: value.reshape(state.batch, *value.shape[len(batch) :]) for key, value in noise.items()}
+            else:
+                known = self._flat_noise(noise, state, batch)
+            flat = {key: value.to(state.scene.points_in.device) for key, value in known.items()}
         if first_row is not None:  # echoes of one beam meet the same particles
             flat = {key: _of_first(value, first_row) for key, value in flat.items()}
         if self._is_large(state):

@@ -32,6 +32,14 @@ MUTANTS = (
         ("tests/lidar/test_detected_echoes.py::test_signals_on_the_nodes_are_those_of_the_bisection",),
     ),
     Mutant(
+        "second_echoes_of_the_first_range",
+        "the second point of a beam lies at the range of its second echo",
+        "torchweather.lidar.stages",
+        "own(getattr(state.returns, name)[..., 1:])",
+        "own(getattr(state.returns, name)[..., :1])",
+        ("tests/lidar/test_points_of_echoes.py::test_points_of_some_beams_are_those_of_all",),
+    ),
+    Mutant(
         "beams_with_a_second_particle_keep_their_object",
         "a beam with a particle above threshold has a choice",
         "torchweather.lidar.stages",
