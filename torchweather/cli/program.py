@@ -70,7 +70,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         >>> main(["explain", "--weather", "rain:rate=-1", "--sensor", "camera"])
         2
     """
-    args = build_parser().parse_args(argv)
+    given = sys.argv[1:] if argv is None else list(argv)
+    named = next((word for word in given if not word.startswith("-")), None)
+    args = build_parser(named).parse_args(given)
     try:
         with signals_drain(), warnings_in_one_line():
             code: int = args.run(args)
@@ -90,8 +92,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return MISTAKE
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of all commands."""
+def build_parser(only: str | None = None) -> argparse.ArgumentParser:
+    """The parser of all commands.
+
+    Args:
+        only: command that alone gets its arguments, of several hundred; ``None`` or another word: every command.
+    """
+    if only not in {command.NAME for command in COMMANDS}:
+        only = None
     parser = argparse.ArgumentParser(
         prog="torchweather",
         description="Physically right rain, fog and snow on automotive camera, LiDAR and radar data.",
@@ -105,7 +113,8 @@ def build_parser() -> argparse.ArgumentParser:
         added = subparsers.add_parser(
             command.NAME, help=command.SUMMARY, description=command.DESCRIPTION, parents=[common]
         )
-        command.add_arguments(added)
+        if only in (None, command.NAME):
+            command.add_arguments(added)
         added.set_defaults(run=command.run)
     return parser
 
