@@ -3,12 +3,13 @@
     python -m pytest -n 0 -p tests.long_cases --case-times times.json    # processor seconds of every case
     python -m tests.long_cases times.json                                # choose anew, write long_cases.txt
 
-Every test keeps its cheapest case; a test that a deliberate break names (``tests/mutants``) keeps all.
+Every test keeps its cheapest case, of a table of recorded scores every few rows; a test that a deliberate break names (``tests/mutants``) keeps all.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 from collections import defaultdict
@@ -20,6 +21,10 @@ import pytest
 LIST = Path(__file__).with_name("long_cases.txt")
 WORTH_S = 0.3  # processor seconds from which on a case is left to `-m long`
 MOST_KEPT_S = 0.6  # of one test: cases are kept, cheapest first, up to this sum
+
+# Rows of one table of recorded scores, of 0.05 s each: every second, third, ... row, about this sum.
+TABLES = ("tests/metrics/", "tests/reference/test_naive_image_scores.py::test_score_is_that_of_the_paper")
+MOST_OF_A_TABLE_S = 1.2
 
 KEPT_WHOLE = ("tests/behaviour/", "tests/test_docs", "tests/test_examples")  # each case is a test of its own
 
@@ -42,7 +47,11 @@ def chosen(seconds: dict[str, float], named: frozenset[str]) -> list[str]:
         if bracket and "::" in test and test not in named and not test.startswith(KEPT_WHOLE):
             cases[test].append((cost, node))
     left_out = []
-    for some in cases.values():
+    for test, some in cases.items():
+        if test.startswith(TABLES) and ("::test_oracle" in test or test in TABLES):
+            each = math.ceil(sum(cost for cost, _ in some) / MOST_OF_A_TABLE_S)
+            left_out += [node for number, (_, node) in enumerate(some) if number % each]
+            continue
         kept_s = 0.0
         for number, (cost, node) in enumerate(sorted(some)):
             fits = number == 0 or cost < WORTH_S or kept_s + cost <= MOST_KEPT_S

@@ -97,7 +97,13 @@ def test_every_example_is_run_here() -> None:
         assert example in (Path(__file__).parent / test).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", list(RUNS))
+# Train detectors for ten seconds; what they call is tested in tests/evaluation and tests/report.
+COSTLY = ("metrics_against_detector.py", "robustness_of_a_detector.py")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] if name in COSTLY else []) for name in RUNS]
+)
 def test_the_example_runs_and_writes_its_files(name: str, tmp_path: Path) -> None:
     arguments, files = RUNS[name]
     output = run(name, arguments, tmp_path)

@@ -30,6 +30,13 @@ def test_every_test_keeps_its_cheapest_case_and_named_ones_keep_all() -> None:
     assert left_out == ["tests/a.py::one[x]", "tests/a.py::one[z]", "tests/a.py::two[w]", "tests/a.py::two[y]"]
 
 
+def test_every_few_rows_of_a_table_of_scores_are_kept() -> None:
+    rows = [f"tests/metrics/test_a.py::test_oracle[{number}]" for number in range(60)]
+    left_out = chosen(dict.fromkeys(rows, 0.05), frozenset())  # 3 s together: every third
+    assert sorted(set(rows) - set(left_out)) == sorted(rows[::3])
+    assert chosen(dict.fromkeys(rows, 0.05), frozenset({"tests/metrics/test_a.py::test_oracle"})) == []
+
+
 def test_the_list_names_tests_that_exist() -> None:
     functions: dict[str, set[str]] = {}
     for node in listed():

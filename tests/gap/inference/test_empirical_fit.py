@@ -267,7 +267,7 @@ def test_the_workflow_answers_unknown_with_axis_curve_and_stage(tmp_path: Path) 
     def change(frame: Frame, clear: Frame, rng: np.random.Generator) -> Frame:
         return {**frame, "intensity": (frame["intensity"] * np.exp(0.1 * np.sin(2.0 * angle))).astype(np.float32)}
 
-    study = tiny_study(seed=3)
+    study = tiny_study(seed=3, clear=5, frames=4)
     angle = azimuth(study)
     report = find_gap(changed(study, change), effects=["lidar.blind_zone", "lidar.range_noise"])
     assert report.verdict == "unknown"

@@ -191,11 +191,11 @@ def test_car_skin_returns_the_product_of_its_radii_from_the_spot_that_faces_the_
 def test_car_from_behind_returns_as_much_as_measured_cars() -> None:
     """5-20 dBsm at 76-81 GHz (literature, unverified), 10 m^2 in ISO 15622: mean over aspect, range and height.
 
-    100 aspects of a spread of 0.56 of the mean: the mean is known to 6 %, 0.25 dB; the model's is 10.6 dBsm.
+    50 aspects of a spread of 0.56 of the mean: the mean is known to 8 %, 0.33 dB; the model's is 10.6 dBsm.
     """
     generator = torch.Generator().manual_seed(0)
     skin, power = car_facets(), []
-    for share in torch.rand(100, 3, generator=generator).tolist():
+    for share in torch.rand(50, 3, generator=generator).tolist():
         car = car_scatterers(
             (20 + 60 * share[0], 0.0),
             WAVELENGTH_M,
@@ -207,9 +207,9 @@ def test_car_from_behind_returns_as_much_as_measured_cars() -> None:
     assert 10 * math.log10(sum(power) / len(power)) == pytest.approx(10.6, abs=0.8)
     typical = sorted(10 * math.log10(p) for p in power)
     # 80 % of the aspects, and the middle one.
-    assert typical[10] > 2.0
-    assert typical[50] > 5.0
-    assert typical[-10] < 20.0
+    assert typical[5] > 2.0
+    assert typical[25] > 5.0
+    assert typical[-5] < 20.0
 
 
 def test_car_seen_from_its_side_returns_more_than_from_a_corner() -> None:
