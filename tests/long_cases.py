@@ -3,7 +3,8 @@
     python -m pytest -n 0 -p tests.long_cases --case-times times.json    # processor seconds of every case
     python -m tests.long_cases times.json                                # choose anew, write long_cases.txt
 
-Every test keeps its cheapest case, of a table of recorded scores every few rows; a test that a deliberate break names (``tests/mutants``) keeps all.
+Every test keeps its cheapest case, of a table of recorded scores every few rows. A test that a
+deliberate break names (``tests/mutants``) keeps all.
 """
 
 from __future__ import annotations
