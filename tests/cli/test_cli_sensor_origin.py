@@ -75,6 +75,7 @@ def test_view_shows_the_cloud_from_the_sensor(run: Any, tmp_path: Path) -> None:
         assert rows[1][key] == pytest.approx(value, abs=5), key
 
 
+@pytest.mark.long  # beside clouds in frames of their own in tests/lidar/sweep/test_sensor_origin.py
 def test_scores_of_a_sweep_do_not_depend_on_the_frame(run: Any, tmp_path: Path) -> None:
     tables = []
     for name, shift_m, place in (("own", (0.0, 0.0, 0.0), ()), ("vehicle", WAYMO_M, PLACE)):

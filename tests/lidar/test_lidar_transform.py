@@ -413,6 +413,7 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
+@pytest.mark.long  # beside batches in portions in tests/lidar/effects
 @pytest.mark.slow
 def test_ten_million_points() -> None:
     """One cloud of ten million: about 3 s on a core and less than 3 GB beside the cloud and its draw."""

@@ -46,6 +46,7 @@ def frame(root: Path, name: str) -> tuple[Tensor, Camera, Tensor]:
     return rgb, camera, DepthFromPoints(cloud, known.T_camera_from_lidar, fill="none")(camera, height, width)
 
 
+@pytest.mark.long  # beside made streets in test_scene_prior.py
 def test_guessed_depth_and_horizon_beat_a_plain_minimum_on_frames_not_used_for_choosing(root: Path) -> None:
     median, within_quarter, within_two, off_px = [], [], [], []
     for name in OTHERS:
