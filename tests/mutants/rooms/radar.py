@@ -49,8 +49,8 @@ MUTANTS = (
         "lost_radar_target_keeps_its_place",
         "a lost target leaves a row of zeros",
         RADAR,
-        "points[..., :3].masked_fill_(lost[..., None], 0.0)",
-        "points[..., :3].masked_fill_(lost[..., None], 1.0)",
+        "points[..., :3].masked_fill(lost[..., None], 0.0)",
+        "points[..., :3].masked_fill(lost[..., None], 1.0)",
         ("tests/radar/test_radar_stages.py::test_rows_leave_with_their_weakened_power_and_lost_ones_at_the_origin",),
     ),
     Mutant(
