@@ -92,7 +92,18 @@ def test_out_takes_the_same_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert torch.equal(foggy(60.0)(raw, scene(masks=True), out=out), foggy(60.0)(raw, scene(masks=True)))
 
 
-@pytest.mark.parametrize("what", ["double", "truth", "gradient", "multiple"])
+def test_transmission_is_that_of_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    raw, seen = torch.rand(1, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(8)), scene(masks=False)
+    for mor_m in (2.0, 60.0):
+        transform = foggy(5.0 * mor_m, layer_top_m=float("inf"))
+        fast, slow = both(monkeypatch, lambda transform=transform: transform.run(raw, seen).transmission)
+        assert float((fast - slow).abs().max()) < SATURATION
+        assert torch.equal(fast == 0, slow == 0)
+        monkeypatch.setenv(switch.SWITCH, "1")
+        assert torch.equal(transform.run(raw, seen).bayer, transform(raw, seen))
+
+
+@pytest.mark.parametrize("what", ["double", "gradient", "multiple"])
 def test_torch_computes_what_the_loops_do_not_cover(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     raw = torch.rand(1, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(9))
     depth = scene(masks=False).depth_m
@@ -100,8 +111,6 @@ def test_torch_computes_what_the_loops_do_not_cover(what: str, monkeypatch: pyte
     def render() -> Tensor:
         if what == "double":
             return foggy(60.0)(raw.double(), depth)
-        if what == "truth":
-            return foggy(60.0).run(raw, depth).bayer
         if what == "multiple":
             return foggy(60.0, scattering="multiple")(raw, depth)
         learnt = depth.clone().requires_grad_()

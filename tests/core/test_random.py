@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader, Dataset
 from torchweather.core.random import (
     ABSENT,
     Variate,
-    _normal_table,
+    normal_table,
     draw_variates,
     keyed_stream,
     sample_seeds,
@@ -112,7 +112,7 @@ def test_a_draw_up_to_a_level_is_the_beginning_of_a_whole_one() -> None:
 
 def test_the_tabulated_normal_law_is_the_normal_one() -> None:
     """Against the closed form: mean, variance, kurtosis, quantiles; and a log-normal of it, as the haze has."""
-    table = _normal_table().astype(float)
+    table = normal_table().astype(float)
     assert table.mean() == pytest.approx(0.0, abs=1e-7)
     assert (table**2).mean() == pytest.approx(1.0, abs=1e-6)
     assert (table**4).mean() == pytest.approx(3.0, abs=3e-4)  # the ends of the law lie in two values

@@ -16,7 +16,7 @@ __all__ = ["fog_rows"]
 
 Array = NDArray[np.float32]
 
-ONE = np.float32(1)
+ZERO, ONE = np.float32(0), np.float32(1)
 
 
 @jit
@@ -38,6 +38,7 @@ def _clear_row(clear: Array, path: Array, extinction: Array, opaque: np.float32)
 @jit
 def fog_rows(
     out: Array,
+    through: Array,
     signal: Array,
     depth_m: Array,
     ray: Array,
@@ -49,6 +50,7 @@ def fog_rows(
     own: Array,
     farthest_m: float,
     opaque: float,
+    nothing: float,
     first: int,
     last: int,
 ) -> None:
@@ -56,6 +58,7 @@ def fog_rows(
 
     Args:
         out: ``(C, H, W)``, written.
+        through: ``(C, H, W)`` transmission, written, 0 where next to nothing is seen; ``(0, 0, 0)``: not wanted.
         signal: ``(C, H, W)`` of the clear frame.
         depth_m, ray: ``(H, W)`` depth and length of ray per depth.
         in_layer_m: ``(H, W)`` length of the ray up to the fog's top; ``(0, 0)``: it has none.
@@ -65,12 +68,13 @@ def fog_rows(
         own: ``(C,)`` share of the fog's light that a picture's sky has already; ``(0,)``: not taken off.
         farthest_m: stands for an infinite depth.
         opaque: largest optical depth.
+        nothing: transmission that counts as 0.
         first, last: rows.
     """
     planes, _, width = out.shape
     path, above = np.empty(width, np.float32), np.empty(width, np.float32)
     clear, share = np.empty(width, np.float32), np.empty(width, np.float32)
-    most, farthest = np.float32(opaque), np.float32(farthest_m)
+    most, farthest, least = np.float32(opaque), np.float32(farthest_m), np.float32(nothing)
     layered, masked, has_sky = in_layer_m.size > 0, near.size > 0, sky.size > 0
     for row in range(first, last):
         _path_row(path, depth_m[row], ray[row], in_layer_m[row] if layered else in_layer_m.ravel(), farthest)
@@ -91,3 +95,6 @@ def fog_rows(
                     above[at] = ONE
                 blend_row(clear, clear, above, near[row])
             blend_row(out[plane, row], airlight, signal[plane, row], clear)
+            if through.size > 0:
+                for at in range(width):
+                    through[plane, row, at] = clear[at] if clear[at] > least else ZERO

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import REHEARSE, REHEARSE_MOR_M, Fog, weather_from_dict
 from torchweather.camera.airlight import airlight_argument, given_or_estimated, own_air, scaled_airlight
-from torchweather.camera.compiled_rows import bands_of, colour_rows, map_of, on_processor
+from torchweather.camera.compiled_rows import NOTHING, bands_of, colour_rows, map_of, on_processor
 from torchweather.camera.multiple_scattering import forward_scattered, kernel_weights
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
@@ -219,8 +219,8 @@ class ExtinctionAndAirlight(Stage):
                 "the depths of the frame. Export with scattering='single'."
             )
         if self._is_compiled(state, extinction, airlight, out):
-            seen = self._compiled(state, extinction, airlight, out)
-            return state.changed(signal=seen, airlight=airlight, fog_extinction_per_m=extinction)
+            seen, through = self._compiled(state, extinction, airlight, out)
+            return state.changed(signal=seen, airlight=airlight, fog_extinction_per_m=extinction, transmission=through)
         alpha_rows, light_rows = state.per_pixel(-extinction), state.per_pixel(airlight)
 
         # Zero extinction times infinite depth is zero, and so is its gradient.
@@ -274,29 +274,39 @@ class ExtinctionAndAirlight(Stage):
 
     def _is_compiled(self, state: CameraState, *values: Tensor | None) -> bool:
         """True where compiled loops compute the frame: on the processor, in single precision, without gradients."""
-        if is_exporting() or not uses_compiled() or state.air.fog_density is not None or state.receiver.keep_truth:
+        if is_exporting() or not uses_compiled() or state.air.fog_density is not None:
             return False
         if self.scattering == "multiple" or state.air.lamp_excess is not None:
             return False
         return on_processor(state.image.signal, *_maps(state), *values)
 
-    def _compiled(self, state: CameraState, extinction: Tensor, airlight: Tensor, out: Tensor | None) -> Tensor:
-        """The foggy frame by compiled loops; rows are independent, so that threads change no bit."""
+    def _compiled(
+        self, state: CameraState, extinction: Tensor, airlight: Tensor, out: Tensor | None
+    ) -> tuple[Tensor, Tensor | None]:
+        """The foggy frame by compiled loops, and the transmission where it is kept.
+
+        Rows are independent, so that threads change no bit.
+        """
         from torchweather.camera.compiled_fog import fog_rows
 
         signal = state.image.signal.detach().contiguous()
         seen = torch.empty_like(signal) if out is None else out
+        through = torch.empty_like(signal) if state.receiver.keep_truth else None
         per_m, light = colour_rows(state, extinction), colour_rows(state, airlight)
         share = own_air(extinction).detach().numpy()
         own: NDArray[np.float32] = share if self._is_estimated(state) else np.zeros((state.batch, 0), np.float32)
         tasks = []
         for sample in range(state.batch):
             depth_m, ray, in_layer_m, sky, near = (map_of(one, sample) for one in _maps(state))
-            one = partial(fog_rows, seen[sample].numpy(), signal[sample].numpy(), depth_m, ray, in_layer_m, sky, near)
+            kept = NOTHING[None] if through is None else through[sample].numpy()
+            one = partial(
+                fog_rows, seen[sample].numpy(), kept, signal[sample].numpy(), depth_m, ray, in_layer_m, sky, near
+            )
             numbers = (per_m[sample], light[sample], np.ascontiguousarray(own[sample]), FARTHEST_M, OPAQUE)
-            tasks += [partial(one, *numbers, first, last) for first, last in bands_of(signal.shape[-2])]
+            one = partial(one, *numbers, OPAQUE_TRANSMISSION)
+            tasks += [partial(one, first, last) for first, last in bands_of(signal.shape[-2])]
         side_by_side(tasks)
-        return seen
+        return seen, through
 
     def _with_forward_scattered(self, state: CameraState, results: tuple[Tensor, ...], light_rows: Tensor) -> Tensor:
         """The foggy frame with the light that the fog scatters onward, and lamps as bright as they are; bit for bit as

@@ -156,7 +156,7 @@ class AsBayer(nn.Module):
                 return self.transform.each_alone(self.forward, rgb, seed, generator, {"depth": depth}, 3)
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
             chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
-            return chosen.forward(rgb, depth, chosen.draw(rgb, seed=seeds, at_rate=True))
+            return chosen.forward(rgb, depth, chosen._drawn_for_call(rgb, seeds))
         if self.through_mosaic:
             before, inner, scene = self._raw(rgb, depth)
             return image_of_mosaic(before, inner(before, scene, noise), rgb, inner.camera, self.method)
@@ -218,7 +218,7 @@ class AsBayer(nn.Module):
                 return self.transform.each_alone(self.run, rgb, seed, generator, {"depth": depth}, 3)
             inner, seeds = self.transform.at_call(rgb.shape[:-3], seed, generator)
             chosen = AsBayer(inner, through_mosaic=self.through_mosaic, method=self.method)
-            return chosen.run(rgb, depth, chosen.draw(rgb, seed=seeds, at_rate=True))
+            return chosen.run(rgb, depth, chosen._drawn_for_call(rgb, seeds))
         batch, (height, width) = rgb.shape[:-3], rgb.shape[-2:]
         if self.through_mosaic:
             before, inner, scene = self._raw(rgb, depth)
@@ -269,8 +269,16 @@ class AsBayer(nn.Module):
         return self.transform.drawn(rgb.shape[:-3], sizes_of(height, width, 3), generator, seed, at_rate=at_rate)
 
     def draw_for_call(self, value: Tensor, seed: int) -> dict[str, Tensor]:
-        """Noise of one image for one call at the present rates."""
-        return self.draw(value, seed=seed, at_rate=True)
+        """Noise of one image for one call at the present rates, with keys in place of the haze's normals."""
+        return self._drawn_for_call(value, seed)
+
+    def _drawn_for_call(self, rgb: Tensor, seed: int | Tensor) -> dict[str, Tensor]:
+        self._check(rgb)
+        (height, width), planes, inner = rgb.shape[-2:], 3, self.transform
+        if self.through_mosaic:
+            (height, width), planes = padded_size(height, width), 1
+            inner = self._inner(height, width)
+        return inner.drawn(rgb.shape[:-3], sizes_of(height, width, planes), None, seed, at_rate=True, keyed=True)
 
     @outside_autocast
     def draw_sequence(

@@ -319,7 +319,7 @@ class BayerWeather(WeatherTransform):
                 beside = {"depth": depth, "normal": normal, "out": out}
                 return self.each_alone(self.forward, bayer, seed, generator, beside, 3)
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
-            return chosen.forward(bayer, depth, chosen.draw(bayer, seed=seeds, at_rate=True), normal=normal, out=out)
+            return chosen.forward(bayer, depth, chosen.drawn_for_call(bayer, seeds), normal=normal, out=out)
         state = self._state(bayer, depth, normal)
         drawn = (
             self.chain.draw(state, at_rate=True) if noise is None else self._flat_noise(noise, state, bayer.shape[:-3])
@@ -351,7 +351,7 @@ class BayerWeather(WeatherTransform):
             if self.draws_alone and bayer.ndim > 3 and bayer.numel():
                 return self.each_alone(self.run, bayer, seed, generator, {"depth": depth, "normal": normal}, 3)
             chosen, seeds = self.at_call(bayer.shape[:-3], seed, generator)
-            return chosen.run(bayer, depth, chosen.draw(bayer, seed=seeds, at_rate=True), normal=normal)
+            return chosen.run(bayer, depth, chosen.drawn_for_call(bayer, seeds), normal=normal)
         scene = self.scene_of(bayer, depth)
         state = self._state(bayer, scene, normal, keep_truth=True)
         after = self.weathered(state, noise, bayer.shape[:-3])
@@ -421,8 +421,13 @@ class BayerWeather(WeatherTransform):
         return self.drawn(bayer.shape[:-3], sizes_of(*bayer.shape[-2:]), generator, seed, at_rate=at_rate)
 
     def draw_for_call(self, value: Tensor, seed: int) -> dict[str, Tensor]:
-        """Noise of one sample for one call at the present rates."""
-        return self.draw(value, seed=seed, at_rate=True)
+        """Noise of one sample for one call at the present rates, with keys in place of the haze's normals."""
+        return self.drawn_for_call(value, seed)
+
+    def drawn_for_call(self, bayer: Tensor, seed: int | Tensor) -> dict[str, Tensor]:
+        """As ``draw(bayer, seed=seed, at_rate=True)``, for one call of this transform alone."""
+        check_bayer(bayer, self.camera, self)
+        return self.drawn(bayer.shape[:-3], sizes_of(*bayer.shape[-2:]), None, seed, at_rate=True, keyed=True)
 
     @outside_autocast
     def draw_sequence(

@@ -62,6 +62,7 @@ def flat_noise(
             variate.sample_shape(sizes),
             tuple(batch),
             fewer=variate.law == "points",
+            keyed=variate.law == "tabulated_normal",
         )
         for key, variate in variates.items()
     }
@@ -70,9 +71,14 @@ def flat_noise(
     return flat
 
 
-def _checked(value: Tensor, what: str, shape: tuple[int, ...], batch: tuple[int, ...], *, fewer: bool) -> Tensor:
-    """The noise of a variate with its samples in one row; of points there may be ``fewer``, for a lower rate."""
-    if not isinstance(value, Tensor) or not value.is_floating_point():
+def _checked(
+    value: Tensor, what: str, shape: tuple[int, ...], batch: tuple[int, ...], *, fewer: bool, keyed: bool
+) -> Tensor:
+    """The noise of a variate with its samples in one row; of points there may be ``fewer``, for a lower rate, and of
+    tabulated normals the keys of their streams."""
+    if keyed and isinstance(value, Tensor) and value.dtype == torch.int64:
+        shape = (2,)
+    elif not isinstance(value, Tensor) or not value.is_floating_point():
         got = value.dtype if isinstance(value, Tensor) else type(value).__name__
         raise InputTypeError(f"{what} must be a floating-point tensor; got {got}. {AGAIN}")
     number = math.prod(batch)
@@ -89,7 +95,7 @@ def _checked(value: Tensor, what: str, shape: tuple[int, ...], batch: tuple[int,
 
 def _check_values(flat: Mapping[str, Tensor], variates: Mapping[str, Variate], name: str) -> None:
     """Look at the ends of every tensor: one pass each, and one answer from the device."""
-    filled = {key: value.detach() for key, value in flat.items() if value.numel()}
+    filled = {key: value.detach() for key, value in flat.items() if value.numel() and value.is_floating_point()}
     if not filled:
         return
     ends = torch.stack([torch.stack(torch.aminmax(value)).double().cpu() for value in filled.values()]).tolist()

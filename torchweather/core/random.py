@@ -36,6 +36,8 @@ __all__ = [
     "derived_seed",
     "draw_variates",
     "keyed_stream",
+    "normal_table",
+    "normals_of_key",
     "sample_seed",
     "sample_seeds",
     "sizes_of",
@@ -130,11 +132,31 @@ def keyed_stream(seed: int, stream: str) -> np.random.Generator:
         >>> float(keyed_stream(7, "jitter.normal").random()) == float(keyed_stream(7, "jitter.normal").random())
         True
     """
+    return np.random.Generator(np.random.Philox(key=_key(seed, stream)))
+
+
+def _key(seed: int, stream: str) -> NDArray[np.uint64]:
+    """Key of the Philox stream, two words."""
     if not isinstance(stream, str):
         raise InputTypeError(f"keyed_stream: stream must be text, such as rain.uniform; got {stream!r}.")
     digest = hashlib.blake2b(stream.encode("utf-8", "surrogatepass"), digest_size=8).digest()
-    key = np.array([_whole(seed, "seed") & (2**64 - 1), int.from_bytes(digest, "little")], dtype=np.uint64)
-    return np.random.Generator(np.random.Philox(key=key))
+    return np.array([_whole(seed, "seed") & (2**64 - 1), int.from_bytes(digest, "little")], dtype=np.uint64)
+
+
+def normals_of_key(key: NDArray[np.uint64], shape: Sequence[int]) -> NDArray[np.float32]:
+    """Tabulated normals of a key that ``draw_variates(keyed=True)`` gave in their place."""
+    out = np.empty(tuple(shape), dtype=np.float32)
+    _fill_normals(np.random.Generator(np.random.Philox(key=key)), out)
+    return out
+
+
+def _fill_normals(generator: np.random.Generator, out: NDArray[np.float32]) -> None:
+    flat, table = out.reshape(-1), normal_table()
+    for start in range(0, flat.size, NORMALS_AT_ONCE):
+        some = flat[start : start + NORMALS_AT_ONCE]
+        raw: NDArray[np.uint64] = generator.bit_generator.random_raw(-(-some.size // 4))
+        # 16 bits each, the lowest first
+        np.take(table, raw.astype("<u8", copy=False).view("<u2")[: some.size], out=some, mode="clip")
 
 
 def sample_seed(seed: int, key: int | str, epoch: int = 0) -> int:
@@ -187,12 +209,7 @@ def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], ou
     elif variate.law == "normal":
         generator.standard_normal(out=out, dtype=np.float32)
     elif variate.law == "tabulated_normal":
-        flat, table = out.reshape(-1), _normal_table()
-        for start in range(0, flat.size, NORMALS_AT_ONCE):
-            some = flat[start : start + NORMALS_AT_ONCE]
-            raw: NDArray[np.uint64] = generator.bit_generator.random_raw(-(-some.size // 4))
-            # 16 bits each, the lowest first
-            np.take(table, raw.astype("<u8", copy=False).view("<u2")[: some.size], out=some, mode="clip")
+        _fill_normals(generator, out)
     elif variate.law == "exponential":
         generator.standard_exponential(out=out, dtype=np.float32)
     else:
@@ -205,7 +222,7 @@ def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], ou
 
 
 @lru_cache(maxsize=1)
-def _normal_table() -> NDArray[np.float32]:
+def normal_table() -> NDArray[np.float32]:
     """Means of the standard normal law over 65,536 ranges of equal probability, scaled to variance 1."""
     inner = NormalDist()
     edges = np.array([inner.inv_cdf(k / TABLE_SIZE) for k in range(1, TABLE_SIZE // 2 + 1)])
@@ -223,7 +240,8 @@ def draw_variates(
     sizes: Mapping[str, int],
     *,
     only: Sequence[bool] | None = None,
-) -> dict[str, NDArray[np.float32]]:
+    keyed: bool = False,
+) -> dict[str, NDArray[Any]]:
     """Draw a stage's variates for every sample, each from its own stream.
 
     Args:
@@ -232,6 +250,8 @@ def draw_variates(
         variates: what the stage needs.
         sizes: values of the named sizes, for example ``{"H": 1464, "W": 1936}``.
         only: which samples are drawn; the numbers of the others are 0. ``None`` draws all.
+        keyed: give the keys of tabulated normals in their place, int64 ``(len(seeds), 2)``, for a stage that takes
+            numbers from their streams when it needs them (``normals_of_key``).
 
     Returns:
         ``<stage>.<variate>`` to float32 array ``(len(seeds), *sample shape)``.
@@ -241,10 +261,13 @@ def draw_variates(
         raise InputTypeError(f"draw_variates: seeds must be a sequence of whole numbers; got {seeds!r:.200}.")
     if not isinstance(variates, (list, tuple)) or not all(isinstance(one, Variate) for one in variates):
         raise InputTypeError(f"draw_variates: variates must be a sequence of Variate; got {variates!r:.200}.")
-    drawn: dict[str, NDArray[np.float32]] = {}
+    drawn: dict[str, NDArray[Any]] = {}
     tasks = []
     for variate in variates:
         stream = f"{stage}.{variate.name}"
+        if keyed and variate.law == "tabulated_normal":
+            drawn[stream] = np.array([_key(seed, stream) for seed in seeds], np.uint64).reshape(-1, 2).view(np.int64)
+            continue
         every = only is None or all(only)
         # Zeros that nobody reads take no memory.
         array = (np.empty if every else np.zeros)((len(seeds), *variate.sample_shape(sizes)), dtype=np.float32)

@@ -82,6 +82,7 @@ class Chain(AtLeastSingle):
         seed: int | Tensor | None = None,
         *,
         at_rate: bool = False,
+        keyed: bool = False,
     ) -> dict[str, Tensor]:
         """Noise of all stages, ``<stage>.<variate>`` to ``(B, ...)``; takes one integer per sample.
 
@@ -89,13 +90,15 @@ class Chain(AtLeastSingle):
             state: gives the number of samples and the sizes.
             generator, seed: of the samples.
             at_rate: draw only what the present intensities need, for this chain alone.
+            keyed: for this call alone: keys of tabulated normals where a stage takes them.
         """
         seeds = sample_seeds((state.batch,), generator, seed)
 
         def drawn(name: str) -> dict[str, Tensor]:
             stage = self.stages[name]
             if at_rate:
-                found = stage.draw(state, seed=seeds, name=name, at_rate=True, written=self._written_beside(name))
+                written = self._written_beside(name)
+                found = stage.draw(state, seed=seeds, name=name, at_rate=True, written=written, keyed=keyed)
             else:
                 found = stage.draw(state, seed=seeds, name=name)
             return {f"{name}.{variate}": array for variate, array in found.items()}

@@ -294,10 +294,11 @@ class WeatherTransform(AtLeastSingle):
         seed: int | Tensor | None,
         *,
         at_rate: bool = False,
+        keyed: bool = False,
     ) -> dict[str, Tensor]:
-        """Noise of the chain for named sizes, leading with the batch shape; ``at_rate`` as in ``Chain.draw``."""
+        """Noise of the chain for named sizes, leading with the batch shape; the rest as in ``Chain.draw``."""
         flat_seed = seed.reshape(-1) if isinstance(seed, Tensor) and seed.shape == tuple(batch) else seed
-        drawn = self.chain.draw(Sizes(math.prod(batch), sizes), generator, flat_seed, at_rate=at_rate)
+        drawn = self.chain.draw(Sizes(math.prod(batch), sizes), generator, flat_seed, at_rate=at_rate, keyed=keyed)
         return {key: value.reshape(*batch, *value.shape[1:]) for key, value in drawn.items()}
 
     def draw_for_call(self, value: Tensor, seed: int) -> dict[str, Tensor]:

@@ -50,6 +50,9 @@ class Stage(AtLeastSingle):
     of_the_air: ClassVar[bool] = False
     """Whether all its noise belongs to the weather and not to a sensor (``air_variates``)."""
 
+    takes_keys: ClassVar[bool] = False
+    """Whether its noise may hold the keys of tabulated normals in place of the numbers."""
+
     def variates(self) -> tuple[Variate, ...]:
         """The standard random numbers that this stage needs; none for a deterministic stage."""
         return ()
@@ -78,6 +81,7 @@ class Stage(AtLeastSingle):
         *,
         written: frozenset[str] | None = None,
         at_rate: bool = False,
+        keyed: bool = False,
     ) -> dict[str, Tensor]:
         """Draw this stage's noise, on the CPU, keyed by (sample seed, stage name, variate name).
 
@@ -87,11 +91,12 @@ class Stage(AtLeastSingle):
             name: of the stage in its chain.
             at_rate: draw only what the present intensities need: the first part of a draw for any intensity.
             written: as in ``variates_at_rate``.
+            keyed: give keys of tabulated normals where the stage takes them, as in ``draw_variates``.
         """
         seeds = list(seed) if isinstance(seed, Sequence) else sample_seeds((state.batch,), generator, seed)
         stage = name or self.default_name
         variates, only = self.variates_at_rate(len(seeds), written) if at_rate else (self.variates(), None)
-        drawn = draw_variates(seeds, stage, variates, state.sizes, only=only)
+        drawn = draw_variates(seeds, stage, variates, state.sizes, only=only, keyed=keyed and self.takes_keys)
         return {key.removeprefix(f"{stage}."): torch.from_numpy(array) for key, array in drawn.items()}
 
     def forward(self, state: Any, noise: Mapping[str, Tensor]) -> Any:

@@ -20,6 +20,7 @@ from torchweather.camera.srgb_bytes import bytes_of_light, light_of_bytes
 from torchweather.camera.state import CameraState
 from torchweather.core import compiled as switch
 from torchweather.core.exceptions import InputValueError
+from torchweather.core.random import normal_table
 
 # Sums in another order, polynomials for exp and ln, and torch's own rounding in single precision: the largest
 # difference over the cases below is 2.4e-6.
@@ -118,6 +119,37 @@ def test_compiled_particles_are_those_of_torch(name: str, monkeypatch: pytest.Mo
     assert float((fast - slow).abs().max()) < SATURATION
     assert float((fast - frame).abs().max()) > 100 * SATURATION
     assert not torch.equal(fast, slow)  # two paths indeed
+
+
+KEYED = {
+    "rain from a car": (FALLEN, {"ego_speed_m_per_s": 12.0}),
+    "rain in fog": (tw.Mixture(tw.Fog(mor_m=90), FALLEN), {}),
+    "a batch": (tw.Rain(torch.tensor([0.0, 9.0, 30.0])), {}),
+    "gusts": (tw.Rain(20, patch_log_std=0.5), {}),
+}
+
+
+@pytest.mark.parametrize("name", KEYED)
+def test_keys_of_a_call_give_the_numbers_of_a_draw(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    weather, options = KEYED[name]
+    camera = camera_of(46, 70)
+    transform, depth = transform_of(weather, camera, **options), depth_of(camera, STEPS)
+    frame = torch.full(((3,) if name == "a batch" else ()) + (1, 46, 70), 0.2)
+    for chosen in "10":
+        monkeypatch.setenv(switch.SWITCH, chosen)
+        assert torch.equal(transform(frame, depth, seed=5), transform(frame, depth, transform.draw(frame, seed=5)))
+        assert torch.equal(transform(frame, depth, seed=5), transform.run(frame, depth, seed=5).bayer)
+
+
+@pytest.mark.parametrize("first", [0, 5, 16, 1242, 2**37 + 3])
+def test_compiled_normals_are_those_of_numpy_from_any_number_on(first: int) -> None:
+    from torchweather.core.compiled_philox import draw_normals
+
+    key, words, found = np.array([7, 2**64 - 5], np.uint64), np.empty(400, np.uint64), np.empty(1000, np.float32)
+    draw_normals(found, words, key, normal_table(), first)
+    stream = np.random.Philox(key=key)
+    raw = stream.advance(first // 16).random_raw(4 * 64).astype("<u8").view("<u2")
+    np.testing.assert_array_equal(found, normal_table()[raw[first % 16 :][:1000]])
 
 
 @pytest.mark.parametrize("weather", [FALLEN, tw.Snow(2.5)], ids=["rain", "snow"])

@@ -206,6 +206,14 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "compiled_noise_of_the_first_shell",
+        "each shell of the haze takes numbers of its own from the stream",
+        "torchweather.camera.particles.compiled_haze",
+        "(shell * height + whole) * out.size",
+        "whole * out.size",
+        ("tests/camera/particles/test_compiled_path.py::test_keys_of_a_call_give_the_numbers_of_a_draw",),
+    ),
+    Mutant(
         "compiled_fog_without_its_top",
         "a ray leaves the fog at the layer's top, in compiled loops as in torch's",
         "torchweather.camera.compiled_fog",

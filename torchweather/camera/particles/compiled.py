@@ -35,12 +35,12 @@ from torchweather.camera.particles.streaks import (
 )
 from torchweather.camera.state import CameraState
 from torchweather.core.compiled import compiled_path, uses_compiled
-from torchweather.core.random import ABSENT
+from torchweather.core.random import ABSENT, normal_table
 from torchweather.core.threads import side_by_side, threads_at_hand
 from torchweather.pipeline.tiling import is_exporting
 
 if TYPE_CHECKING:
-    from torchweather.camera.particles.compiled_haze import HazeAxis, HazeTables
+    from torchweather.camera.particles.compiled_haze import HazeAxis, HazeTables, Noise
     from torchweather.camera.particles.compiled_marks import Lens, Motion, Nodes
 
 __all__ = ["covers", "frame_behind", "haze_depth", "listed_depth", "rendered_by"]
@@ -268,16 +268,15 @@ def haze_depth(
     faded = None if fog_per_m is None else torch.empty_like(optical)
     rows = (..., slice(first, last), slice(None))
     depth, ray = _array(state.scene.depth_m[rows])[:, 0], _array(state.scene.ray_per_depth[rows])[:, 0]
-    fields = _array(noise[f"{population.weather.kind}_haze"])
     for sample in range(b):
         own, axis = _haze_of(population, state, tables, sample, longest=fog_per_m is not None)
         clear: Array = NOTHING
         if fog_per_m is not None:
             fog = float(_of(_array(fog_per_m), sample))
             clear = _clear_table(own.mean, t.log_footprint_low, t.log_footprint_step, axis.scale, axis.longest, fog)
-        maps = (fields[sample], _of(depth, sample), _of(ray, sample))
+        white, own_depth, own_ray = _noise_of(population, state, noise, sample), _of(depth, sample), _of(ray, sample)
         into = (optical.numpy()[sample, 0], NOTHING if faded is None else faded.numpy()[sample, 0])
-        haze_rows(*into, *maps, clear, own, axis, first)
+        haze_rows(*into, white, own_depth, own_ray, clear, own, axis, first)
     return optical, faded
 
 
@@ -306,6 +305,16 @@ def _haze_of(
     return HazeTables(mean, variance, along, across, lowest, highest), axis
 
 
+def _noise_of(population: Population, state: CameraState, noise: Mapping[str, Tensor], sample: int) -> Noise:
+    """White noise of the haze of one sample, in numbers or by its key."""
+    from torchweather.camera.particles.compiled_haze import Noise
+
+    given, height = noise[f"{population.weather.kind}_haze"][sample], state.image.signal.shape[-2]
+    if given.dtype == torch.int64:
+        return Noise(np.zeros((0, 0, 0), np.float32), given.numpy().view(np.uint64), normal_table(), height)
+    return Noise(_array(given), np.zeros(2, np.uint64), normal_table(), height)
+
+
 def frame_behind(
     population: Population, state: CameraState, noise: Mapping[str, Tensor], tables: AtRate, colour: Tensor
 ) -> tuple[Tensor, Tensor | None]:
@@ -323,13 +332,13 @@ def frame_behind(
     mask = torch.empty(b, 1, height, width) if state.receiver.keep_truth else None
     sharp, _ = _by_columns(population, state, noise, tables)
     light = colour_rows(state, colour.to(signal.dtype))
-    fields, scene, tasks = _array(noise[f"{population.weather.kind}_haze"]), state.scene, []
+    scene, tasks = state.scene, []
     for sample in range(b):
         own, axis = _haze_of(population, state, tables, sample)
         kept = NOTHING if mask is None else mask[sample, 0].numpy()
         frame = (out[sample].numpy(), kept, signal[sample].numpy(), sharp[sample], light[sample])
         near, depth_m, ray = (map_of(one, sample) for one in (scene.near_mask, scene.depth_m, scene.ray_per_depth))
-        one = partial(veil_rows, *frame, near, fields[sample], depth_m, ray)
+        one = partial(veil_rows, *frame, near, _noise_of(population, state, noise, sample), depth_m, ray)
         tasks += [partial(one, own, axis, first, last) for first, last in bands_of(height)]
     side_by_side(tasks)
     return out, mask

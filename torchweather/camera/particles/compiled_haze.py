@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from torchweather.camera.compiled_math import exp_of, log_of_sum
 from torchweather.core.compiled import jit
+from torchweather.core.compiled_philox import NORMALS_A_BLOCK, draw_normals
 
-__all__ = ["HazeAxis", "HazeTables", "Streaks", "Work", "haze_row", "haze_rows", "streaks_of", "work_of"]
+__all__ = ["HazeAxis", "HazeTables", "Noise", "Streaks", "Work", "haze_row", "haze_rows", "streaks_of", "work_of"]
 
 Array = NDArray[np.float32]
 Whole = NDArray[np.int64]
@@ -47,6 +48,22 @@ SMALL_DEPTH, FLOOR, LEAST = np.float32(1e-6), np.float32(1e-30), np.float32(1e-1
 FAINTEST_TAP = 1e-6  # of a kernel of unit energy; below it a tap is left out
 
 
+class Noise(NamedTuple):
+    """White noise of the shells of the haze: numbers, or the key of their stream.
+
+    Args:
+        maps: ``(J, H, W)`` numbers; ``(0, 0, 0)``: by the key.
+        key: ``(2,)`` of the stream.
+        table: ``(65536,)`` of tabulated normals.
+        height: H.
+    """
+
+    maps: Array
+    key: NDArray[np.uint64]
+    table: Array
+    height: int
+
+
 class Streaks(NamedTuple):
     """Taps of the streaks of every shell, and the rows of noise at hand; made by ``streaks_of``.
 
@@ -56,6 +73,7 @@ class Streaks(NamedTuple):
         ring: ``(J, rows, W + 2 pad)`` rows of noise, wrapped at their ends.
         filled: ``(J,)`` first row that is not in the ring yet.
         spare: ``(1, W + 2 side)`` sums along the streaks.
+        drawn, words: ``(W,)`` a row of noise, and spare words of its stream.
         which, begin, product: of each tap, its row in the ring, its first column and its weight.
         reach: rows of noise above and below a row that it takes.
         pad, side: columns beside the frame, of the ring and of the sums.
@@ -72,6 +90,8 @@ class Streaks(NamedTuple):
     ring: Array
     filled: Whole
     spare: Array
+    drawn: Array
+    words: NDArray[np.uint64]
     which: Whole
     begin: Whole
     product: Array
@@ -163,15 +183,20 @@ def _wrapped(out: Array, row: Array, pad: int) -> None:
 
 
 @jit
-def _streaky_row(out: Array, noise: Array, shell: int, row: int, streaks: Streaks) -> None:
+def _streaky_row(out: Array, noise: Noise, shell: int, row: int, streaks: Streaks) -> None:
     """One row of a shell's white noise ``(H, W)`` with the correlation of its streaks.
 
     The rows of noise that it needs are kept, wrapped at their ends, for the rows that follow.
     """
-    height, pad, reach = noise.shape[0], streaks.pad, streaks.reach
+    height, pad, reach = noise.height, streaks.pad, streaks.reach
     ring, slots = streaks.ring[shell], streaks.ring.shape[1]
     for some in range(max(streaks.filled[shell], row - reach), row + reach + 1):
-        _wrapped(ring[some % slots], noise[some % height], pad)
+        whole = some % height
+        if noise.maps.size > 0:
+            _wrapped(ring[some % slots], noise.maps[shell, whole], pad)
+        else:
+            draw_normals(streaks.drawn, streaks.words, noise.key, noise.table, (shell * height + whole) * out.size)
+            _wrapped(ring[some % slots], streaks.drawn, pad)
     streaks.filled[shell] = row + reach + 1
     side = streaks.side
     spare, count = streaks.spare, streaks.taps[shell]
@@ -228,6 +253,8 @@ def streaks_of(along: Array, across: Array, width: int, slope: float, steep: flo
         ring,
         filled,
         spare,
+        np.empty(width, np.float32),
+        np.empty(4 * (width // NORMALS_A_BLOCK + 2), np.uint64),
         which,
         begin,
         product,
@@ -334,7 +361,7 @@ def work_of(width: int) -> Work:
 @jit
 def haze_row(
     optical: Array,
-    noise: Array,
+    noise: Noise,
     depth_m: Array,
     ray: Array,
     tables: HazeTables,
@@ -347,7 +374,7 @@ def haze_row(
 
     Args:
         optical: ``(W,)``, written.
-        noise: ``(J, H, W)`` white noise of each shell of the haze.
+        noise: of each shell of the haze.
         depth_m, ray: ``(W,)`` scene depth and length of ray per depth.
         tables, axis, streaks: of the sample.
         work: written.
@@ -356,9 +383,9 @@ def haze_row(
     _tables_row(work.mean, work.variance, work.place, depth_m, tables.mean, tables.variance, axis)
     _clear(work.deviation)
     most = work.variance.max()
-    for shell in range(noise.shape[0]):
+    for shell in range(tables.lowest.size):
         if most > tables.lowest[shell]:  # nowhere else does a shell in this row reach into the air before the scene
-            _streaky_row(work.field, noise[shell], shell, row, streaks)
+            _streaky_row(work.field, noise, shell, row, streaks)
             _add_shell(work.deviation, work.variance, work.field, tables.lowest[shell], tables.highest[shell])
     _lognormal_row(optical, work.mean, work.variance, work.deviation, ray)
 
@@ -367,7 +394,7 @@ def haze_row(
 def haze_rows(
     optical: Array,
     faded: Array,
-    noise: Array,
+    noise: Noise,
     depth_m: Array,
     ray: Array,
     clear_table: Array,
@@ -380,7 +407,7 @@ def haze_rows(
     Args:
         optical: ``(rows, W)``, written.
         faded: the same weighted with the fog's transmission, written; ``(0, 0)`` without fog.
-        noise: ``(J, H, W)`` white noise of each shell of the haze.
+        noise: of each shell of the haze.
         depth_m, ray: ``(rows, W)`` scene depth and length of ray per depth.
         clear_table: ``(N, G)`` haze per focal length weighted with the fog's transmission, for N lengths of ray.
         tables, axis: of the sample.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.camera.compiled_math import blend_row, covered_share
-from torchweather.camera.particles.compiled_haze import HazeAxis, HazeTables, haze_row, streaks_of, work_of
+from torchweather.camera.particles.compiled_haze import HazeAxis, HazeTables, Noise, haze_row, streaks_of, work_of
 from torchweather.core.compiled import jit
 
 __all__ = ["veil_rows"]
@@ -37,7 +37,7 @@ def veil_rows(
     sharp: Array,
     light: Array,
     near: Array,
-    noise: Array,
+    noise: Noise,
     depth_m: Array,
     ray: Array,
     tables: HazeTables,

@@ -15,17 +15,19 @@ import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchweather.camera.night.lamp_light import NEAREST_M
 from torchweather.camera.state import CameraState
+from torchweather.core.random import normals_of_key
 from torchweather.pipeline.tiling import is_exporting
 
 if TYPE_CHECKING:
     from torchweather.camera.particles.population import AtRate, Population
 
-__all__ = ["haze_depth"]
+__all__ = ["haze_depth", "numbers_of_keys"]
 
 LEAST = 1e-16  # optical depth and variance below which the haze does not fluctuate
 FLOOR = 1e-30
@@ -99,6 +101,12 @@ def haze_depth(
     longest = state.scene.ray_per_depth.flatten().amax(0).float()
     clear = _mean_clear(population, tables, read, ray.expand(b, 1, last - first, width), longest, focal, fog_per_m)
     return optical, optical * clear * scale / on_axis.clamp_min(FLOOR)
+
+
+def numbers_of_keys(keys: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """Normals of the streams of some keys ``(B, 2)``, ``(B, *shape)``, on their device."""
+    words = keys.cpu().numpy().view(np.uint64)
+    return torch.from_numpy(np.stack([normals_of_key(key, shape) for key in words])).to(keys.device)
 
 
 def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:

@@ -17,6 +17,7 @@ from torchweather.camera.fog import FADING_COLOUR
 from torchweather.camera.options import RENAMED
 from torchweather.camera.particles import compiled
 from torchweather.camera.particles.haze import haze_depth as haze_by_torch
+from torchweather.camera.particles.haze import numbers_of_keys
 from torchweather.camera.particles.optical_depth import haze_depth, listed_depth
 from torchweather.camera.particles.population import AtRate, Population
 from torchweather.camera.particles.sequence import next_frame
@@ -95,6 +96,7 @@ class ParticleVeil(Stage):
         *("receiver.camera", "receiver.cfa_index", "receiver.keep_truth", "receiver.row_time_s"),
     )
     writes: ClassVar[tuple[str, ...]] = ("image.particle_mask", "image.signal")
+    takes_keys: ClassVar[bool] = True
 
     @renamed_arguments(**RENAMED)
     def __init__(
@@ -340,6 +342,7 @@ class ParticleVeil(Stage):
         if self._is_in_one_pass(state, noise, tables, each_colour):
             signal, covered = compiled.frame_behind(self.parts[0], state, noise, tables[0], each_colour[0])
             return before.changed(signal=signal, particle_mask=covered)
+        noise = self._with_numbers(noise, state, tables)
         colours = [state.per_pixel(colour) for colour in each_colour]
         contrast = state.air.particle_contrast
         fog = state.air.fog_extinction_per_m
@@ -404,6 +407,19 @@ class ParticleVeil(Stage):
         if air.fog_extinction_per_m is not None or not compiled.covers(self.parts[0], state, noise, tables[0]):
             return False
         return on_processor(state.image.signal, scene.depth_m, scene.ray_per_depth, scene.near_mask, colours[0])
+
+    def _with_numbers(
+        self, noise: Mapping[str, Tensor], state: CameraState, tables: Sequence[AtRate]
+    ) -> Mapping[str, Tensor]:
+        """The noise with numbers in place of keys, where torch renders."""
+        found = dict(noise)
+        for part, table in zip(self.parts, tables, strict=True):
+            lit = state.air.lamp_light is not None
+            name = f"{part.weather.kind}_haze"
+            if noise[name].dtype == torch.int64 and (lit or not compiled.covers(part, state, noise, table)):
+                shape = (len(part.haze_shells), *state.image.signal.shape[-2:])
+                found[name] = numbers_of_keys(noise[name], shape)
+        return found
 
     def _falling(self, batch: int) -> list[bool]:
         """Whether anything falls in each sample; where a rate is learnt, something may."""

@@ -1,0 +1,75 @@
+"""Compiled numbers of keyed streams: those of numpy's Philox from any place on.
+
+A stream is counter-based: number n depends on the key and on n alone. So a loop takes the numbers of a row when it
+needs them, and none of the rows that it leaves out.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from torchweather.core.compiled import jit
+
+__all__ = ["NORMALS_A_BLOCK", "draw_normals", "philox_words"]
+
+Words = NDArray[np.uint64]
+
+NORMALS_A_BLOCK = 16  # 4 words of 64 bits of a counter, 16 bits a normal
+ROUNDS = 10
+# Salmon et al. 2011, Philox 4 x 64.
+MULTIPLIER_0, MULTIPLIER_1 = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)
+WEYL_0, WEYL_1 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)
+
+
+def _upper_half(typingctx: Any, a: Any, b: Any) -> Any:
+    """Upper 64 bits of the product of two words."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        wide = ir.IntType(128)
+        product = builder.mul(builder.zext(args[0], wide), builder.zext(args[1], wide))
+        return builder.trunc(builder.lshr(product, ir.Constant(wide, 64)), ir.IntType(64))
+
+    return types.uint64(types.uint64, types.uint64), codegen
+
+
+_high_product: Any = intrinsic(_upper_half)
+
+
+@jit
+def philox_words(out: Words, key_0: np.uint64, key_1: np.uint64, first_block: int) -> None:
+    """Write the words of a stream from a block of four on; block 0 has the counter 1, as numpy begins."""
+    for block in range(out.size // 4):
+        a, b, c, d = np.uint64(first_block + block + 1), np.uint64(0), np.uint64(0), np.uint64(0)
+        of_a, of_c = key_0, key_1
+        for _ in range(ROUNDS):
+            high_a, low_a = _high_product(MULTIPLIER_0, a), MULTIPLIER_0 * a
+            high_c, low_c = _high_product(MULTIPLIER_1, c), MULTIPLIER_1 * c
+            a, b, c, d = high_c ^ b ^ of_a, low_c, high_a ^ d ^ of_c, low_a
+            of_a, of_c = of_a + WEYL_0, of_c + WEYL_1
+        out[4 * block], out[4 * block + 1], out[4 * block + 2], out[4 * block + 3] = a, b, c, d
+
+
+@jit
+def draw_normals(out: NDArray[np.float32], words: Words, key: Words, table: NDArray[np.float32], first: int) -> None:
+    """Write tabulated normals of a stream, from number ``first`` on.
+
+    Args:
+        out: ``(n,)``, written.
+        words: spare, 4 (n // 16 + 2) or more.
+        key: ``(2,)`` of the stream.
+        table: ``(65536,)``.
+        first: 0 or more.
+    """
+    block = first // NORMALS_A_BLOCK
+    blocks = (first + out.size - 1) // NORMALS_A_BLOCK - block + 1
+    some = words[: 4 * blocks]
+    philox_words(some, key[0], key[1], block)
+    lanes = some.view(np.uint16)[first - NORMALS_A_BLOCK * block :]
+    for at in range(out.size):
+        out[at] = table[np.uint32(lanes[at])]
