@@ -178,12 +178,11 @@ def _shells(
     outline, speed = _of(_array(tables.outline_m), sample), _of(_array(tables.fall_speed), sample)
     bounds = _of(_array(tables.bounds), sample)
     fog = 0.0 if fog_per_m is None else float(_of(_array(fog_per_m), sample))
+    footprints, _, tails_most = t.at_listed_nodes
     shells = []
     for number in range(len(t.listed)):
         drawn = noise[f"{p.weather.kind}_shell_{number}"][sample]
-        log_footprint = t.listed[number].log_footprint
-        footprint = np.exp(log_footprint).astype(np.float32)
-        most = t.log_at(t.tail_most, log_footprint).astype(np.float32)
+        footprint, most = (one[number].astype(np.float32) for one in (footprints, tails_most))
         bound = bounds[number]
         # No level above this one is there at any depth.
         limit = min(math.exp(min(float((bound - most).max()) - thinning, 50.0)) * (1 + 1e-4), ABSENT)

@@ -12,11 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.camera.compiled_math import log_of_sum
 from torchweather.core.compiled import jit, uncontracted
 
 __all__ = ["Lens", "MarkShape", "Motion", "Nodes", "add_points", "farthest_around", "in_bands", "transposed"]
 
 Array = NDArray[np.float32]
+
+ZERO, ONE, LEAST_LEVEL = np.float32(0), np.float32(1), np.float32(1e-30)
 
 
 class Lens(NamedTuple):
@@ -102,7 +105,7 @@ def _optical(coverage: float, full: float) -> float:
     m = min(max(coverage, 0.0), full)
     if m < 0.02:  # the series' remainder is below 1e-9 of it
         return m * (1.0 + m * (1.0 / 2 + m * (1.0 / 3 + m * (1.0 / 4 + m * (1.0 / 5)))))
-    return -math.log1p(-m)
+    return float(log_of_sum(ONE, np.float32(m / (1.0 - m))))  # -ln(1 - m)
 
 
 @jit
@@ -239,13 +242,17 @@ def add_points(
     wide_u, edge_u = np.float32(width + 2.0 * nodes.reach_u), np.float32(nodes.reach_u + 0.5)
     wide_v, edge_v = np.float32(height + 2.0 * nodes.reach_v), np.float32(nodes.reach_v + 0.5)
     shares, constant = np.empty(64), np.empty(64)
+    per_fx, per_fy, per_step = 1.0 / lens.fx, 1.0 / lens.fy, 1.0 / nodes.level_step
+    per_block, most_row, most_column = 1.0 / block_px, farthest_m.shape[1] - 1.0, farthest_m.shape[0] - 1.0
+    fallen_px = lens.exposure_s * lens.fy / lens.focal_px
     sums, sums_faded, depth = total.ravel(), faded.ravel(), depth_m.ravel()
     for point in range(points.shape[0]):
         level = float(points[point, 3])
         if not level < nodes.limit:
             continue
         cell, share = _cell(float(points[point, 2]) * (footprint.size - 1), footprint.size)
-        log_level = math.log(max(level, 1e-30)) + _read(most, cell, share) + nodes.thinning
+        log_level = float(log_of_sum(ZERO, max(points[point, 3], LEAST_LEVEL))) + _read(most, cell, share)
+        log_level += nodes.thinning
         if not log_level < _read(bound, cell, share):
             continue
         foot = _read(footprint, cell, share)
@@ -258,19 +265,19 @@ def add_points(
         if not (abs(u) < 1e6 and abs(v) < 1e6):
             continue
         if small:
-            row = int(min(max(v / block_px, 0.0), farthest_m.shape[1] - 1.0))
-            column = int(min(max(u / block_px, 0.0), farthest_m.shape[0] - 1.0))
+            row = int(min(max(v * per_block, 0.0), most_row))
+            column = int(min(max(u * per_block, 0.0), most_column))
             if z >= farthest_m[column, row]:
                 continue
         # ---- mark
-        x, y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
+        x, y, per_foot = (u - lens.cx) * per_fx, (v - lens.cy) * per_fy, 1.0 / foot
         growth = math.sqrt(1.0 + x * x + y * y)
-        stop, above = _cell((log_level - nodes.level_low) / nodes.level_step, outline_m.size)
-        diameter = _read(outline_m, stop, above) / foot * math.sqrt(growth)
+        stop, above = _cell((log_level - nodes.level_low) * per_step, outline_m.size)
+        own_square = (_read(outline_m, stop, above) * per_foot) ** 2 * growth
         speed = _read(fall_speed, stop, above)
         motion_u = 0.0
         if upright:
-            motion_v = speed * (lens.exposure_s * lens.fy / lens.focal_px) / foot
+            motion_v = speed * fallen_px * per_foot
         else:
             vx = motion.fall_x * speed + motion.drift_x
             vy = motion.fall_y * speed + motion.drift_y
@@ -279,21 +286,23 @@ def add_points(
             motion_v = (vy - y * vz) * lens.exposure_s / z * lens.fy
         blur = 0.0
         if lens.aperture_m > 0.0:
-            blur = lens.aperture_m / foot
+            blur = lens.aperture_m * per_foot
             if lens.focus_m < np.inf:
                 blur = blur * abs(z - lens.focus_m) / lens.focus_m
-        square = diameter * diameter + lens.blur_px * lens.blur_px + blur * blur
+        square = own_square + lens.blur_px * lens.blur_px + blur * blur
         breadth = math.sqrt(square)
-        opacity = diameter * diameter / square
+        area = own_square * (math.pi / 4)  # its opacity, the share of its own area, times its area
         if lens.published_blend == 1.0:
-            opacity = opacity * (1.0 + diameter) / diameter
-        stretch = 1.0 / max(1.0 - motion_v * motion.row_share, shape.slowest)
-        v = v * stretch
-        u = u + motion_u * (v * motion.row_share)
-        motion_u, motion_v, opacity = motion_u * stretch, motion_v * stretch, opacity * stretch
+            diameter = math.sqrt(own_square)
+            area = area * (1.0 + diameter) / diameter
+        if motion.row_share != 0.0:
+            stretch = 1.0 / max(1.0 - motion_v * motion.row_share, shape.slowest)
+            v = v * stretch
+            u = u + motion_u * (v * motion.row_share)
+            motion_u, motion_v, area = motion_u * stretch, motion_v * stretch, area * stretch
         clear = 0.0
         if weighted:
-            x, y = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
+            x, y = (u - lens.cx) * per_fx, (v - lens.cy) * per_fy
             clear = math.exp(-fog_per_m * z * math.sqrt(1.0 + x * x + y * y))
         # ---- its frame along the major axis
         steep = abs(motion_v) >= abs(motion_u)
@@ -313,7 +322,6 @@ def add_points(
         wide = breadth > shape.wide_px
         chord_most = breadth if wide else chord
         across = max(across, shape.smallest_px)
-        area = opacity * (math.pi / 4) * square
         first = math.floor(major - 0.5 * (length + chord_most) + 0.5)
         rows = math.floor(major + 0.5 * (length + chord_most) + 0.5) - first + 1
         start = math.floor(minor - 0.5 * across + 0.5)
@@ -332,6 +340,7 @@ def add_points(
             shares, constant = np.empty(2 * columns), np.empty(2 * columns)
         # ---- sum over its pixels
         reach, per_area = 0.5 * across, 0.5 / (length * chord)
+        per_length, per_across = 1.0 / length, 1.0 / across
         narrow = not wide or columns == 1
         # Between these edges the trapezoid is flat, and the sums of a row are those of the next one.
         flat = 0.5 * (length - chord) if narrow else -1.0
@@ -349,7 +358,7 @@ def add_points(
             if not (upright and known):  # shares of the columns: of each row where they lean
                 before = 0.0
                 for column in range(columns - 1):
-                    here = _chord_share((start + column + 0.5 - centre) / across, shape)
+                    here = _chord_share((start + column + 0.5 - centre) * per_across, shape)
                     shares[column] = here - before
                     before = here
                 shares[columns - 1] = 1.0 - before
@@ -359,7 +368,7 @@ def add_points(
                 below = edge * (2.0 * chord * per_area) + 0.5
                 if not (upright and level_known):
                     for column in range(columns):
-                        constant[column] = _optical(area * shares[column] / length, shape.full)
+                        constant[column] = _optical(area * shares[column] * per_length, shape.full)
                     level_known = True
                 for column in range(left, right):
                     pixel = at + column * stride_aside

@@ -203,10 +203,10 @@ class Population(nn.Module):
         self._keep("depth_table", t.haze_depth)
         self.nearest_foot_m_per_px = tuple(math.exp(float(shell.log_footprint[0])) for shell in t.listed)
         # Tables over the footprint, read at each shell's own nodes, (..., shells, nodes).
-        foot = np.stack([shell.log_footprint for shell in t.listed] or [np.zeros(0)])[: len(t.listed)]
-        self._keep("footprints", np.exp(foot))
-        self._keep("tails_at_cut", t.log_at(t.tail_at_cut, foot))
-        self._keep("tails_most", t.log_at(t.tail_most, foot))
+        footprints, tails_at_cut, tails_most = t.at_listed_nodes
+        self._keep("footprints", footprints)
+        self._keep("tails_at_cut", tails_at_cut)
+        self._keep("tails_most", tails_most)
 
     def _keep(self, name: str, table: np.ndarray[Any, np.dtype[np.float64]]) -> None:
         values = torch.from_numpy(np.ascontiguousarray(table)).float()

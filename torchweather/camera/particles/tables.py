@@ -147,6 +147,12 @@ class ParticleTables:
         """Likewise across the streaks."""
         return _taps_that_count(self.kernel_across)
 
+    @cached_property
+    def at_listed_nodes(self) -> tuple[Array, Array, Array]:
+        """Footprint ``(shells, nodes)``, and ln of `tail_at_cut` ``(P, shells, nodes)`` and of `tail_most` there."""
+        foot = np.stack([shell.log_footprint for shell in self.listed] or [np.zeros(0)])[: len(self.listed)]
+        return np.exp(foot), self.log_at(self.tail_at_cut, foot), self.log_at(self.tail_most, foot)
+
     def log_at(self, table: Array, log_footprint: Array) -> Array:
         """ln of a table ``(..., G)`` over the footprint, at other footprints."""
         node = (log_footprint - self.log_footprint_low) / self.log_footprint_step
