@@ -15,9 +15,9 @@ from torch.utils.data import DataLoader, Dataset
 from torchweather.core.random import (
     ABSENT,
     Variate,
-    normal_table,
     draw_variates,
     keyed_stream,
+    normal_table,
     sample_seeds,
     sizes_of,
 )

@@ -206,6 +206,14 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "device_normals_without_a_carry",
+        "a product of 64 bits carries from its lower half to its upper one",
+        "torchweather.core.device_normals",
+        "+ (carried >> 32)",
+        "+ (carried >> 40)",
+        ("tests/core/test_device_normals.py::test_they_are_those_of_numpy_bit_by_bit",),
+    ),
+    Mutant(
         "compiled_noise_of_the_first_shell",
         "each shell of the haze takes numbers of its own from the stream",
         "torchweather.camera.particles.compiled_haze",

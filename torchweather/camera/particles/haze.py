@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchweather.camera.night.lamp_light import NEAREST_M
 from torchweather.camera.state import CameraState
+from torchweather.core.device_normals import normals_by_torch
 from torchweather.core.random import normals_of_key
 from torchweather.pipeline.tiling import is_exporting
 
@@ -104,9 +105,12 @@ def haze_depth(
 
 
 def numbers_of_keys(keys: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """Normals of the streams of some keys ``(B, 2)``, ``(B, *shape)``, on their device."""
-    words = keys.cpu().numpy().view(np.uint64)
-    return torch.from_numpy(np.stack([normals_of_key(key, shape) for key in words])).to(keys.device)
+    """Normals of the streams of some keys ``(B, 2)``, ``(B, *shape)``, on their device; drawn there if it is no
+    processor."""
+    if keys.device.type != "cpu":
+        return normals_by_torch(keys, shape)
+    words = keys.numpy().view(np.uint64)
+    return torch.from_numpy(np.stack([normals_of_key(key, shape) for key in words]))
 
 
 def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:

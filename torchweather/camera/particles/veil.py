@@ -418,7 +418,7 @@ class ParticleVeil(Stage):
             name = f"{part.weather.kind}_haze"
             if noise[name].dtype == torch.int64 and (lit or not compiled.covers(part, state, noise, table)):
                 shape = (len(part.haze_shells), *state.image.signal.shape[-2:])
-                found[name] = numbers_of_keys(noise[name], shape)
+                found[name] = numbers_of_keys(noise[name].to(state.image.signal.device), shape)
         return found
 
     def _falling(self, batch: int) -> list[bool]:
