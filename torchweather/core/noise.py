@@ -76,12 +76,13 @@ def _checked(
 ) -> Tensor:
     """The noise of a variate with its samples in one row; of points there may be ``fewer``, for a lower rate, and of
     tabulated normals the keys of their streams."""
-    if keyed and isinstance(value, Tensor) and value.dtype == torch.int64:
+    number = math.prod(batch)
+    of_keys = ((*batch, 2), (number, 2))
+    if keyed and isinstance(value, Tensor) and value.dtype == torch.int64 and tuple(value.shape) in of_keys:
         shape = (2,)
     elif not isinstance(value, Tensor) or not value.is_floating_point():
         got = value.dtype if isinstance(value, Tensor) else type(value).__name__
         raise InputTypeError(f"{what} must be a floating-point tensor; got {got}. {AGAIN}")
-    number = math.prod(batch)
     leading = value.shape[: value.ndim - len(shape)] if value.ndim >= len(shape) else None
     if fewer and leading is not None and not torch.compiler.is_compiling():
         shape = (min(shape[0], value.shape[-2]), *shape[1:])
