@@ -144,7 +144,8 @@ def _example(
         half_h, half_w = torch.export.Dim("half_height", min=1), torch.export.Dim("half_width", min=1)
         dims = {"H": 2 * half_h, "W": 2 * half_w}
     else:
-        dims = {"H": torch.export.Dim("height", min=2), "W": torch.export.Dim("width", min=2)}
+        # Windows of the airlight's estimate reach over 3 pixels.
+        dims = {"H": torch.export.Dim("height", min=3), "W": torch.export.Dim("width", min=3)}
     frame = {2: dims["H"], 3: dims["W"]}
     noise, noise_shapes = [], []
     for number, (key, variate) in enumerate(graph.variates.items()):

@@ -190,17 +190,8 @@ def _traced(traceable: Traceable) -> Any:
     with torch.no_grad(), warnings.catch_warnings():
         # The exporter's own: deprecated calls inside torch, and inputs that it names by position.
         warnings.simplefilter("ignore")
-        # As torch.onnx.export does it: a size of 0 or 1 is no case of its own.
-        with torch.fx.experimental._config.patch(backed_size_oblivious=True):  # type: ignore[attr-defined]
-            traced = torch.export.export(
-                traceable.module,
-                traceable.arguments,
-                dynamic_shapes=traceable.dynamic_shapes,
-                strict=False,
-                prefer_deferred_runtime_asserts_over_guards=True,
-            )
         program = torch.onnx.export(
-            DecomposedByNode.of(traced),
+            DecomposedByNode.of(_captured(traceable)),
             input_names=traceable.inputs,
             output_names=traceable.outputs,
             opset_version=OPSET,
@@ -211,6 +202,19 @@ def _traced(traceable: Traceable) -> Any:
     assert program is not None  # dynamo export always gives one
     tidy(program.model)
     return program.model_proto
+
+
+def _captured(traceable: Traceable) -> torch.export.ExportedProgram:
+    """The traced program, as ``torch.onnx.export`` captures it."""
+    options: dict[str, Any] = {"strict": False, "prefer_deferred_runtime_asserts_over_guards": True}
+    shapes: Any = traceable.dynamic_shapes
+    # A size of 0 or 1 is no case of its own.
+    with torch.fx.experimental._config.patch(backed_size_oblivious=True):  # type: ignore[attr-defined]
+        try:
+            return torch.export.export(traceable.module, traceable.arguments, dynamic_shapes=shapes, **options)
+        except torch._dynamo.exc.UserError as error:  # a size has another least value
+            shapes = torch.export.dynamic_shapes.refine_dynamic_shapes_from_suggested_fixes(error.msg, shapes)
+            return torch.export.export(traceable.module, traceable.arguments, dynamic_shapes=shapes, **options)
 
 
 def tidy(model: Any) -> None:
