@@ -193,6 +193,34 @@ def test_draw_feed_gives_the_numbers_of_draw_bit_for_bit(graphs: Callable[[str],
             assert np.array_equal(feed[key], value.numpy())
 
 
+def test_a_feed_at_the_rate_is_the_first_part_of_the_whole_feed_and_gives_the_same(
+    graphs: Callable[[str], Graph],
+) -> None:
+    graph, size = graphs("rain"), SIZES[1]
+    bayer, depth = scene(size)
+    whole = draw_feed(graph.session, height=size[0], width=size[1], seed=5)
+    points = [key for key in whole if "_shell_" in key]
+    slots = [sum(len(whole[key][0]) for key in points)]
+    for rate in (30.0, 0.3, 0.0):
+        feed = draw_feed(graph.session, height=size[0], width=size[1], seed=5, rates={"rate_mm_per_h": rate})
+        assert all(np.array_equal(feed[key], whole[key][:, : feed[key].shape[1]]) for key in points)
+        slots.append(sum(len(feed[key][0]) for key in points))
+        place = (graph.transform.camera, bayer, depth, {"rate_mm_per_h": rate})
+        assert np.array_equal(graph(*place, feed), graph(*place, whole))
+    assert slots == sorted(slots, reverse=True)
+    assert slots[2] < 0.5 * slots[0]
+    drawn = at_size(rain(TRACED, 0.3), size).draw(bayer, seed=5, at_rate=True)
+    assert slots[2] <= sum(drawn[key].shape[1] for key in points) + 8  # a straight line over the table's rates
+
+
+@pytest.mark.parametrize("rates", [{"rate": 1.0}, {"mor_m": 1.0}, {"rate_mm_per_h": -1.0}, {"rate_mm_per_h": "1"}])
+def test_a_feed_at_a_rate_that_the_graph_does_not_have_is_refused(
+    graphs: Callable[[str], Graph], rates: dict[str, Any]
+) -> None:
+    with pytest.raises(TorchweatherError, match="rate_mm_per_h"):
+        draw_feed(graphs("rain").session, height=8, width=8, seed=5, rates=rates)
+
+
 class Detector(torch.nn.Module):
     """Sums over 4 x 4 pixels; its weights have the name of an input of the weather."""
 

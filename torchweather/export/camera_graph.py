@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -50,9 +51,9 @@ def traceable_camera(transform: BayerWeather | AsBayer, height: int, width: int,
     graph = _CameraGraph(transform, image, masks=masks).to(device)
     arguments, shapes, names = _example(graph, height, width, device)
     outputs, sections = [IMAGE_OUTPUTS[image]], (SECTION, *sections_of(transform.weather))
-    return Traceable(
-        graph, arguments, shapes, names, outputs, graph.variates, described(transform, image=image), sections
-    )
+    text = described(transform, image=image)
+    levels = _levels(transform)
+    return Traceable(graph, arguments, shapes, names, outputs, graph.variates, text, sections, levels=levels)
 
 
 def _trace(transform: BayerWeather | AsBayer, sizes: GraphSizes) -> Traceable:
@@ -130,6 +131,21 @@ def _intensities(transform: BayerWeather) -> dict[str, str]:
             for number, part in enumerate(stage.parts):
                 key = "rate_mm_per_h" if alone else f"{part.weather.kind}_rate_mm_per_h"
                 found[key] = f"_stages.{name}.populations.{number}.rate_mm_per_h"
+    return found
+
+
+def _levels(transform: BayerWeather) -> dict[str, Any]:
+    """Noise input to the rate that its points belong to, and how many of them each rate shows."""
+    inputs = {buffer: name for name, buffer in _intensities(transform).items()}
+    found = {}
+    for name, stage in transform.chain.stages.items():
+        if not isinstance(stage, ParticleVeil):
+            continue
+        for variate, (part, limits) in stage.level_limits(transform.chain.written_beside(name)).items():
+            rate = inputs[f"_stages.{name}.populations.{stage.parts.index(part)}.rate_mm_per_h"]
+            low, step = part.tables.log_rate_low, part.tables.log_rate_step
+            limit = [math.ceil(value * 1e4) / 1e4 for value in limits.tolist()]
+            found[f"{name}.{variate}"] = {"rate": rate, "log_rate_low": low, "log_rate_step": step, "log_limit": limit}
     return found
 
 

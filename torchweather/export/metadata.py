@@ -8,7 +8,7 @@ from typing import Any
 
 import torchweather
 from torchweather.atmosphere.weather import Weather
-from torchweather.export.feed import METADATA_KEY, TRANSFORM_KEY, variates_to_metadata
+from torchweather.export.feed import LEVELS_KEY, METADATA_KEY, TRANSFORM_KEY, UNITS_KEY, variates_to_metadata
 from torchweather.export.traceable import Traceable
 from torchweather.pipeline.sensor import Sensor
 from torchweather.pipeline.sensor_transform import WeatherTransform
@@ -58,9 +58,10 @@ def model_properties(traceable: Traceable) -> dict[str, str]:
         "torchweather_version": torchweather.__version__,
         TRANSFORM_KEY: json.dumps(traceable.described, default=_number),
         "torchweather_equations": f"docs/PHYSICS.md, {named} {', '.join(sections)}",
-        "torchweather_units": json.dumps({name: units[name] for name in traceable.inputs}),
+        UNITS_KEY: json.dumps({name: units[name] for name in traceable.inputs}),
         "torchweather_seeds": SEEDS,
         METADATA_KEY: variates_to_metadata(traceable.variates),
+        LEVELS_KEY: json.dumps(traceable.levels),
     }
 
 

@@ -46,6 +46,7 @@ class Traceable:
         described: the transform as plain values, for the graph's properties.
         sections: of docs/PHYSICS.md.
         units: of inputs whose unit depends on the sensor.
+        levels: of points that a lower rate needs less of; see ``feed.LEVELS_KEY``.
     """
 
     module: nn.Module
@@ -57,6 +58,7 @@ class Traceable:
     described: Mapping[str, Any]
     sections: Sequence[str]
     units: Mapping[str, str] = field(default_factory=dict)
+    levels: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

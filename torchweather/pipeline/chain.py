@@ -97,7 +97,7 @@ class Chain(AtLeastSingle):
         def drawn(name: str) -> dict[str, Tensor]:
             stage = self.stages[name]
             if at_rate:
-                written = self._written_beside(name)
+                written = self.written_beside(name)
                 found = stage.draw(state, seed=seeds, name=name, at_rate=True, written=written, keyed=keyed)
             else:
                 found = stage.draw(state, seed=seeds, name=name)
@@ -107,7 +107,7 @@ class Chain(AtLeastSingle):
         numbers = len(seeds) * sum(math.prod(shape) for shape in shapes)
         return {key: array for part in in_parallel(drawn, list(self.stages), numbers) for key, array in part.items()}
 
-    def _written_beside(self, name: str) -> frozenset[str] | None:
+    def written_beside(self, name: str) -> frozenset[str] | None:
         """Fields that the other stages change; ``None`` where one of them does not declare any."""
         others = [stage.writes for other, stage in self.stages.items() if other != name]
         return frozenset(field for fields in others for field in fields) if all(others) else None

@@ -42,6 +42,17 @@ MUTANTS = (
         ("tests/export/test_export_radar.py::test_draw_feed_gives_the_numbers_of_draw_bit_for_bit[fog]",),
     ),
     Mutant(
+        "feed_at_half_the_rate",
+        "a feed at the rate holds every point that the rate shows",
+        FEED,
+        "place = (math.log(rate)",
+        "place = (math.log(rate / 2)",
+        (
+            "tests/export/test_export.py::"
+            "test_a_feed_at_the_rate_is_the_first_part_of_the_whole_feed_and_gives_the_same",
+        ),
+    ),
+    Mutant(
         "odd_mosaic_fed",
         "a mosaic has whole cells",
         FEED,

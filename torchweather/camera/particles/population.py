@@ -28,7 +28,9 @@ from torchweather.core.random import ABSENT, Variate
 from torchweather.core.threads import side_by_side
 from torchweather.pipeline.tiling import is_exporting
 
-__all__ = ["Population"]
+__all__ = ["Array", "AtRate", "Population"]
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
 
 RATE_CAPACITY_MM_PER_H = {"rain": 100.0, "snow": 10.0}
 FLOOR = 1e-30  # keeps logarithms finite where nothing falls
@@ -258,6 +260,13 @@ class Population(nn.Module):
         limits = (above.amax(0).clamp_max(0.0).exp() * ROUNDING).clamp_max(1.0).tolist()
         shells = [replace(one, level_limit=limit) for one, limit in zip(whole[:-1], limits, strict=True)]
         return (*shells, whole[-1])
+
+    def level_limits(self) -> Array:
+        """ln of the highest level that is shown, ``(shells, rates)``, at the rates of the tables and the camera's own
+        focal length; between two of them, a straight line over ln of the rate is no less than the limit there."""
+        at_cut = self.tails_at_cut.double().cpu().numpy()  # type: ignore[operator]
+        most = self.tails_most.double().cpu().numpy()  # type: ignore[operator]
+        return np.asarray((at_cut - most).max(-1).T + math.log(ROUNDING))
 
     def headroom(self) -> float:
         """Slots that the lens distortion asks for, per slot of an undistorted lens; 1 without distortion."""

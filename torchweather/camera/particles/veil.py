@@ -19,7 +19,7 @@ from torchweather.camera.particles import compiled
 from torchweather.camera.particles.haze import haze_depth as haze_by_torch
 from torchweather.camera.particles.haze import numbers_of_keys
 from torchweather.camera.particles.optical_depth import haze_depth, listed_depth
-from torchweather.camera.particles.population import AtRate, Population
+from torchweather.camera.particles.population import Array, AtRate, Population
 from torchweather.camera.particles.sequence import next_frame
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
@@ -217,6 +217,21 @@ class ParticleVeil(Stage):
             return self.variates(), None
         cut = tuple(variate for part in self.parts for variate in part.variates_at_rate())
         return cut, self._falling(batch)
+
+    def level_limits(self, written: frozenset[str] | None) -> dict[str, tuple[Population, Array]]:
+        """Of each variate of points that a lower rate needs less of: its particles and ``Population.level_limits``.
+
+        Args:
+            written: as for ``variates_at_rate``.
+        """
+        if written is None or written & CHANGES_LEVELS:
+            return {}
+        return {
+            variate.name: (part, limits)
+            for part in self.parts
+            if not part.camera.distorted
+            for variate, limits in zip(part.variates(), part.level_limits(), strict=False)  # the last is the haze's
+        }
 
     def next_frame(
         self,
