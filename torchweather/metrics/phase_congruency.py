@@ -9,6 +9,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchweather.core.compiled import uses_compiled
+from torchweather.metrics.compiled_phase import add_orientation, finest_power
 from torchweather.metrics.filters import root
 from torchweather.metrics.pooling import ratio
 
@@ -105,6 +107,9 @@ def _of_one(image: Tensor, bank: Bank) -> Tensor:
     """`phase_congruency` of one image ``(1, 1, H, W)``."""
     # The filters pass no mean; without a common value, a flat image is 0 and not rounding noise.
     spectrum = torch.fft.fft2((image - image[..., :1, :1].detach())[0, 0])
+    learns = torch.is_grad_enabled() and image.requires_grad
+    if uses_compiled() and image.dtype == torch.float32 and image.device.type == "cpu" and not learns:
+        return _by_compiled(spectrum.detach(), bank)
     above, amplitudes = torch.zeros_like(image[0, 0]), torch.zeros_like(image[0, 0])
     for orientation, *powers in zip(bank.orientations, bank.finest_power, bank.real_power, strict=True):
         response = torch.fft.ifft2(spectrum * (bank.scales * orientation))  # (S, H, W)
@@ -116,15 +121,27 @@ def _of_one(image: Tensor, bank: Bank) -> Tensor:
         # Summed over the scales, what is in phase with the mean phase is what the sums have of it.
         in_phase = even_sum * even_mean + odd_sum * odd_mean
         across = (even * odd_mean - odd * even_mean).abs().sum(0)
-        above = above + (in_phase - across - _noise(squared[0], *powers)).clamp(min=0)
+        above = above + (in_phase - across - _noise(squared[0].flatten().median(), *powers)).clamp(min=0)
         amplitudes = amplitudes + (root(squared) if squared.requires_grad else squared.sqrt()).sum(0)
     return ratio(above, amplitudes)[None, None]
 
 
-def _noise(finest: Tensor, finest_power: Tensor, real_power: Tensor) -> Tensor:
-    """Threshold on the energy, from the squared amplitudes ``(H, W)`` of the finest scale and powers of filters."""
+def _by_compiled(spectrum: Tensor, bank: Bank) -> Tensor:
+    """The same in compiled loops."""
+    above, amplitudes = torch.zeros(2, *spectrum.shape)
+    filtered = torch.empty(SCALES, *spectrum.shape, dtype=spectrum.dtype)
+    for orientation, *powers in zip(bank.orientations, bank.finest_power, bank.real_power, strict=True):
+        torch.mul(bank.scales, spectrum * orientation, out=filtered)
+        responses = torch.fft.ifft2(filtered)
+        median = torch.tensor(finest_power(responses[0]))
+        add_orientation(responses, float(_noise(median, *powers)), above, amplitudes)
+    return ratio(above, amplitudes)[None, None]
+
+
+def _noise(median: Tensor, power_of_finest: Tensor, real_power: Tensor) -> Tensor:
+    """Threshold on the energy, from the median of the squared amplitudes of the finest scale and powers of filters."""
     # Squared amplitudes of Gaussian noise are exponentially distributed: mean = median / ln 2
-    power = finest.flatten().median() / math.log(2.0) / finest_power  # the lower of two in the middle
+    power = median / math.log(2.0) / power_of_finest
     # Rayleigh distribution: mean sqrt(pi / 2) tau, variance (2 - pi / 2) tau^2. Energy of white noise through the sum
     # of the filters: tau^2.
     tau = root(power * real_power)

@@ -10,6 +10,14 @@ TRENDS = "torchweather.metrics.trends"
 
 MUTANTS = (
     Mutant(
+        "spread_about_the_phase_with_its_sign",
+        "energy is less by the spread about the mean phase, by compiled loops too",
+        "torchweather.metrics.compiled_phase",
+        "across += abs(even * odd_mean - odd * even_mean)",
+        "across += even * odd_mean - odd * even_mean",
+        ("tests/metrics/test_compiled_phase.py::test_fsim_by_compiled_loops_is_that_of_torch",),
+    ),
+    Mutant(
         "psnr_of_amplitude",
         "PSNR is 10 log10 of the mean square",
         "torchweather.metrics.psnr",
