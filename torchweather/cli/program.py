@@ -32,6 +32,7 @@ from torchweather.cli import (
     validate,
     view,
 )
+from torchweather.cli.early import refuse_early
 from torchweather.cli.mistakes import is_mistake, one_line
 from torchweather.cli.output import printable
 from torchweather.cli.signals import code_of, signals_drain
@@ -75,6 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = build_parser(named).parse_args(given)
     try:
         with signals_drain(), warnings_in_one_line():
+            refuse_early(args, next(command.NAME for command in COMMANDS if command.run is args.run))
             code: int = args.run(args)
             sys.stdout.flush()
             return code

@@ -5,7 +5,6 @@ Each message names the owner, the expected value with its unit, the value that c
 
 from __future__ import annotations
 
-import difflib
 import math
 import numbers
 from collections.abc import Iterable
@@ -21,6 +20,7 @@ from torchweather.core.exceptions import (
     TorchweatherError,
     TorchweatherWarning,
 )
+from torchweather.core.text import LONGEST_SHOWN, nearest_name
 
 __all__ = [
     "InputTypeError",
@@ -35,9 +35,6 @@ __all__ = [
     "check_positive",
     "nearest_name",
 ]
-
-
-_LONGEST_SHOWN = 500  # characters of a value in a message
 
 
 def owner_name(owner: object) -> str:
@@ -58,7 +55,7 @@ def _shown(value: object) -> str:
             return f"{value.item():g}"
         return f"a tensor with values {value.min().item():g}..{value.max().item():g}"
     text = repr(value)
-    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."
+    return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
 
 
 def _is_real(value: Tensor) -> bool:
@@ -126,18 +123,6 @@ def check_one_of(name: str, value: Any, allowed: Iterable[str], *, owner: object
         raise InputValueError(
             f"{owner_name(owner)}: {name} must be one of {', '.join(names)}; got {shown}.{nearest_name(value, names)}"
         )
-
-
-def nearest_name(value: object, names: Iterable[str]) -> str:
-    """A sentence `` Did you mean 'x'?``, or an empty string where nothing is near.
-
-    Example:
-        >>> nearest_name("rian", ["rain", "snow"])
-        " Did you mean 'rain'?"
-    """
-    # Of a long text the beginning: the time grows with the square of its length.
-    near = difflib.get_close_matches(str(value)[:_LONGEST_SHOWN], list(names), n=1)
-    return f" Did you mean {near[0]!r}?" if near else ""
 
 
 def _unit(unit: str) -> str:

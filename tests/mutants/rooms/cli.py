@@ -8,6 +8,14 @@ CLI = "torchweather.cli.program"
 
 MUTANTS = (
     Mutant(
+        "first_weather_alone_is_known",
+        "each weather of a mixture is known by its name, before torch is loaded too",
+        "torchweather.cli.early",
+        'for part in text.split("+"):',
+        'for part in text.split("+")[:1]:',
+        ("tests/cli/test_early_mistakes.py",),
+    ),
+    Mutant(
         "list_asks_the_library",
         "names are listed without torch",
         "torchweather.cli.listing",

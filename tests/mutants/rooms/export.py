@@ -48,8 +48,10 @@ MUTANTS = (
         "place = (math.log(rate)",
         "place = (math.log(rate / 2)",
         (
-            "tests/export/test_export.py::"
-            "test_a_feed_at_the_rate_is_the_first_part_of_the_whole_feed_and_gives_the_same",
+            (
+                "tests/export/test_export.py::"
+                "test_a_feed_at_the_rate_is_the_first_part_of_the_whole_feed_and_gives_the_same"
+            ),
         ),
     ),
     Mutant(
