@@ -72,7 +72,7 @@ def _refuse_recipe(wanted: str) -> None:
     every = [one["name"] for kind in ("recipes", "pipelines", "suites") for one in names[kind]]
     if any(wanted in (name, name.rpartition("/")[2]) for name in every):
         return
-    known = sorted(set(every))
+    known = sorted(one["name"] for one in names["recipes"] if one["kind"] == "transform")
     near = nearest_name(wanted, [*known, *(name.rpartition("/")[2] for name in known)])
     raise InputValueError(
         f"torchweather: recipe must be one of {', '.join(known)}, or a file ending in .yaml; got {wanted!r}.{near}"
