@@ -13,7 +13,7 @@ MUTANTS = (
         "torchweather.cli.early",
         'for part in text.split("+"):',
         'for part in text.split("+")[:1]:',
-        ("tests/cli/test_early_mistakes.py",),
+        ("tests/cli/test_early_mistakes.py::test_an_early_mistake_has_the_words_of_the_command",),
     ),
     Mutant(
         "list_asks_the_library",
