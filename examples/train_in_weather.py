@@ -31,7 +31,7 @@ from parts.shared import command_line, recordings
 from parts.snow_points import average_precision
 from parts.training_arms import INPUTS, cloud_arms, picture_arms
 from parts.training_data import cloud_batches, cloud_samples, picture_batches, picture_samples, relabelled
-from parts.training_results import draw, gains, table
+from parts.training_results import ablations, draw, gains, table
 
 import torchweather as tw
 
@@ -53,6 +53,10 @@ TESTS: dict[str, dict[str, float]] = {
     "rain 20 mm/h in fog 80 m": {"rain_mm_per_h": 20.0, "fog_m": 80.0},
 }
 OWN = {"rain 30 mm/h": tw.Rain(30.0), "fog 80 m": tw.Fog(mor_m=80.0), "snow 1.5 mm/h": tw.Snow(1.5)}
+MAIN_ARMS = {
+    *("share of snow", "DROR + intensity", "none", "photometric", "kornia", "albumentations"),
+    *("naive", "naive, dark flakes", "library", "library, drawn"),
+}
 SNOWS_MM_PER_H = (0.5, 1.5, 3.0)
 
 
@@ -189,10 +193,11 @@ def rows_of(
         settings |= {"steps": arguments.steps, "trained_in": TRAINED_IN, "tested_in": TESTED_IN}
         settings |= {"train_scenes": arguments.train, "test_scenes": arguments.test}
         settings |= {"width": arguments.width, "height": arguments.width * 3 // 4}
-    return [
+    rows = [
         {"sensor": title, "simulator": simulator, "test": test, "arm": arm, "scores": found, **settings}
         for (simulator, test, arm), found in scores.items()
     ]
+    return [{**row, "ablation": True} if row["arm"] not in MAIN_ARMS else row for row in rows]
 
 
 def main() -> None:
@@ -215,7 +220,8 @@ def main() -> None:
     for name, run in (("camera", camera_rows), ("lidar", lidar_rows), ("recorded", recorded_rows)):
         if name in arguments.sensors:
             rows += run(arguments)
-            print(f"{rows[-1]['sensor']}\n\n{table(rows, rows[-1]['sensor'])}\n", flush=True)
+            sensor = rows[-1]["sensor"]
+            print(f"{sensor}\n\n{table(rows, sensor)}\n\n{ablations(rows, sensor)}\n", flush=True)
     arms = {row["arm"] for row in rows}
     for sensor in dict.fromkeys(row["sensor"] for row in rows):
         if {"library, drawn", "naive"} <= arms:

@@ -54,12 +54,10 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_arms_learn_from_sweeps_and_are_scored_on_labelled_snow(example: Any, folders: tuple[Path, Path]) -> None:
-    arguments = argparse.Namespace(
-        kitti=folders[0], wads=folders[1], ablate=False, arms=["naive", "library, drawn"], seeds=1
-    )
-    arguments.recorded_draws, arguments.recorded_steps = 3, 30
+    arguments = argparse.Namespace(kitti=folders[0], wads=folders[1], ablate=False, arms=["naive", "library"], seeds=1)
+    arguments.recorded_draws, arguments.recorded_steps = 2, 30
     rows = {(row["simulator"], row["arm"]): row for row in example.main.recorded_rows(arguments)}
-    assert {arm for _, arm in rows} == {"share of snow", "DROR + intensity", "naive", "library, drawn"}
+    assert {arm for _, arm in rows} == {"share of snow", "DROR + intensity", "naive", "library"}
     assert rows["recorded", "share of snow"]["scores"] == [pytest.approx(0.1)]
     assert rows["recorded", "DROR + intensity"]["scores"][0] > 0.95  # flakes stand alone and are dark
     assert all(0 <= row["scores"][0] <= 1 and row["test"].startswith("WADS") for row in rows.values())
@@ -97,7 +95,7 @@ def test_the_drawn_arm_draws_the_near_response_of_the_recipe(example: Any, folde
     values = [draw.nuisances["points"] for draw in drawn if draw.weather is not None]
     assert len(values) > 15
     full, start = ([one[f"sensor.near_{name}_m"] for one in values] for name in ("full", "start"))
-    assert min(full) < 6
+    assert min(full) < 3
     assert max(full) > 15
-    assert all(3 <= one <= 30 for one in full)
-    assert all(0.9 <= one <= 2 for one in start)
+    assert all(1 <= one <= 30 for one in full)
+    assert all(0 <= one <= 0.9 for one in start)

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from tests.running_examples import load_example
+
 ROOT = Path(__file__).parents[1]
 FOUND = json.loads((ROOT / "benchmarks" / "train_in_weather.json").read_text(encoding="utf-8"))
 PAGE = (ROOT / "docs" / "training-in-weather.md").read_text(encoding="utf-8")
@@ -18,21 +20,24 @@ def rows_of(sensor: str) -> list[dict[str, Any]]:
 
 
 def test_the_tables_are_those_of_the_numbers() -> None:
+    results = load_example("parts/training_results.py")
     for sensor in dict.fromkeys(row["sensor"] for row in FOUND["rows"]):
-        own = rows_of(sensor)
-        arms = list(dict.fromkeys(row["arm"] for row in own))
-        assert f"| tested in | {' | '.join(arms)} |" in PAGE
-        for simulator, test in dict.fromkeys((row["simulator"], row["test"]) for row in own):
-            cells = []
-            for arm in arms:
-                [scores] = [
-                    np.array(row["scores"])
-                    for row in own
-                    if (row["simulator"], row["test"], row["arm"]) == (simulator, test, arm)
-                ]
-                cells.append(f"{scores.mean():.3f} ({np.abs(scores - scores.mean()).max():.3f})")
-            name = test if simulator == "independent" else f"{test}, own simulator"
-            assert f"| {name} | {' | '.join(cells)} |" in PAGE
+        for lines in (results.table(rows_of(sensor), sensor), results.ablations(rows_of(sensor), sensor)):
+            assert lines in PAGE, lines
+
+
+def test_a_table_has_means_and_the_farthest_seeds() -> None:
+    results = load_example("parts/training_results.py")
+    row = {"sensor": "s", "test": "t", "arm": "a", "scores": [0.1, 0.2, 0.6]}
+    rows = [{**row, "simulator": "independent"}, {**row, "simulator": "own"}]
+    rows += [{**row, "simulator": "independent", "arm": "without b", "scores": [0.5], "ablation": True}]
+    wanted = ["| tested in | a |", "| --- | --- |", "| t | 0.300 (0.300) |", "| t, own simulator | 0.300 (0.300) |"]
+    assert results.table(rows, "s").splitlines() == wanted
+    assert results.ablations(rows, "s").splitlines() == [
+        "| arm | t |",
+        "| --- | --- |",
+        "| without b | 0.500 (0.000) |",
+    ]
 
 
 def test_every_row_has_its_settings() -> None:
@@ -46,7 +51,8 @@ def test_every_row_has_its_settings() -> None:
 def test_the_page_states_the_gain_over_the_naive_lines() -> None:
     """Mean over the weathers of the independent test, seed by seed."""
     for sensor in dict.fromkeys(row["sensor"] for row in FOUND["rows"]):
-        own = [row for row in rows_of(sensor) if row["simulator"] == "independent" and row["test"] != "clear"]
+        own = [row for row in rows_of(sensor) if row["simulator"] in ("independent", "recorded")]
+        own = [row for row in own if row["test"] != "clear"]
         drawn, naive = (
             np.array([row["scores"] for row in own if row["arm"] == arm]).mean(0) for arm in ("library, drawn", "naive")
         )

@@ -118,6 +118,10 @@ def arms(ablate: bool) -> dict[str, Callable[[Sample, int], Sample]]:
     found["library, drawn"] = drawn_snow(SENSOR, {})
     if ablate:
         found |= {
+            "naive, scale of intensity drawn": other_scale(naive_snow),
+            "library, scale of intensity drawn": other_scale(found["library"]),
+            "library, drawn, scale of intensity drawn": other_scale(found["library, drawn"]),
+            "library, dark flakes": dark(found["library"]),
             "library, naive intensities": other_intensities(found["library"]),
             "library, naive ranges": other_ranges(found["library"]),
             "library, no lost points": nothing_lost(found["library"]),
@@ -137,8 +141,21 @@ def dark(arm: Any) -> Callable[[Sample, int], Sample]:
 
     def put(sample: Sample, seed: int) -> Sample:
         found = arm(sample, seed)
-        found["points"][found["classes"] == WEATHER, 3] = 0.0
-        return found
+        points = found["points"].clone()
+        points[found["classes"] == WEATHER, 3] = 0.0
+        return {**found, "points": points}
+
+    return put
+
+
+def other_scale(arm: Any) -> Callable[[Sample, int], Sample]:
+    """Intensities of objects and flakes times a factor of 1/8 to 1: the median of KITTI is 71 of 255, of WADS 9."""
+
+    def put(sample: Sample, seed: int) -> Sample:
+        found, low = arm(sample, seed), math.log(1 / 8)
+        points = found["points"].clone()
+        points[:, 3] = torch.floor(points[:, 3] * math.exp(np.random.default_rng(seed).uniform(low, 0.0)))
+        return {**found, "points": points}
 
     return put
 
