@@ -218,7 +218,7 @@ def test_decoys_say_which_strengths_they_ask_for():
 
 
 def test_spray_grows_with_the_speed_that_the_conditions_carry(tmp_path):
-    tiny = Size(rings=16, columns=64, clear_frames=2, rates=3, frames=4)
+    tiny = Size(rings=16, columns=64, clear_frames=2, rates=3, frames=12)  # spray beside the drops of few frames
     case = next(plan("dev", 1, ["moving"], tiny))
     street = Streets("dev", 1, None).bare("rain", 0, tiny)
     held = {"parameters": {"strength": 3.0, "azimuth_rad": 0.0, "width_rad": 6.0}, "reached": 30.0, "cosine": {}}

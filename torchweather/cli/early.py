@@ -9,6 +9,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from torchweather.cli.apply import ARGUMENTS
 from torchweather.cli.listing import kept_names
 from torchweather.core.exceptions import InputValueError
 from torchweather.core.text import nearest_name
@@ -28,6 +29,8 @@ def refuse_early(args: argparse.Namespace, command: str) -> None:
     """
     if command == "apply" and args.weather is None and args.recipe is None:
         raise InputValueError("apply: give --weather, such as fog:mor=30, or --recipe (see torchweather list).")
+    if command == "apply" and not _plain(args):
+        return
     if command in ("apply", "explain", "view"):
         if args.weather is not None:
             _refuse_weather(args.weather)
@@ -43,6 +46,12 @@ def refuse_early(args: argparse.Namespace, command: str) -> None:
         _refuse_missing([args.reference, args.distorted], "no such file or folder")
 
 
+def _plain(args: argparse.Namespace) -> bool:
+    """Whether a call of ``apply`` has one input and no argument of one kind of sensor: others are looked at first."""
+    special = {name for names in ARGUMENTS.values() for name in names}
+    return len(args.inputs) == 1 and all(getattr(args, name) in (None, False) for name in special)
+
+
 def _refuse_weather(text: str) -> None:
     names = kept_names()
     kinds = [one["name"] for one in (*names["weathers"], *names["conditions"])]
@@ -56,6 +65,8 @@ def _refuse_weather(text: str) -> None:
 
 def _refuse_preset(text: str) -> None:
     kind, _, preset = text.partition(":")
+    if preset.endswith(OWN_FILES) or Path(preset).exists():
+        return
     presets = [one["name"].removeprefix(f"{kind}:") for one in kept_names()["sensors"] if one["name"].startswith(kind)]
     if kind in SENSORS and preset and preset not in presets:
         raise InputValueError(

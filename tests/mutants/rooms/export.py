@@ -95,8 +95,8 @@ MUTANTS = (
         "weather_units_not_in_the_graph",
         "a graph states the units of its inputs",
         "torchweather.export.metadata",
-        '"torchweather_units": json.dumps({name: units[name] for name in traceable.inputs}),',
-        '"torchweather_units": json.dumps({}),',
+        "UNITS_KEY: json.dumps({name: units[name] for name in traceable.inputs}),",
+        "UNITS_KEY: json.dumps({}),",
         ("tests/export/test_export_fuse.py::test_the_properties_say_version_equations_and_units",),
     ),
     Mutant(
