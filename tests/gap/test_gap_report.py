@@ -19,7 +19,7 @@ from torchweather.atmosphere.weather import Fog, Rain, Weather
 from torchweather.camera.effects.optics import CameraDefocus
 from torchweather.camera.effects.sensor import CameraExposureGain
 from torchweather.core.errors import TorchweatherError
-from torchweather.gap.gap_report import _standard_error, gap_report, read_model, write_model
+from torchweather.gap.gap_report import _at_bound, _standard_error, gap_report, read_model, write_model
 from torchweather.gap.inference.clear_air import ClearAir
 from torchweather.gap.inference.empirical_fit import Departures
 from torchweather.gap.inference.held_out import HeldOut
@@ -316,6 +316,22 @@ def test_a_value_at_the_end_of_what_is_searched_is_said(loss_db: float, end: str
     (one,) = report.to_dict()["effects"]
     assert one["at_bound"] == ({} if end is None else {"loss_db": end})
     assert ("the true one may be higher" in verdict_sentence(report.to_dict())) == (end is not None)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("lidar.last_return", {"probability": 1.0}),  # a share is whole
+        ("lidar.sector_loss", {"azimuth_rad": 2.0 * math.pi}),  # where an angle begins again
+        ("lidar.limited_extent", {"extent_m": 0.0}),  # no length is below 0
+        ("lidar.limited_extent", {"extent_m": 12.0}),  # of endless values none is near the end
+        ("lidar.intensity_compression", {"saturation": 40.0}),
+    ],
+)
+def test_an_end_that_nothing_exceeds_is_no_end_of_the_search(effect: str, values: dict[str, float]) -> None:
+    fit: Any = SimpleNamespace(names=tuple((effect, name) for name in values))
+    found = result("named", ripple(0.01), **fitted())
+    assert _at_bound(effect, fit, found, values) == {}
 
 
 def test_the_record_moves_by_one_factor_and_by_each_condition() -> None:

@@ -26,7 +26,7 @@ __all__ = ["forward_scattered", "kernel_weights"]
 # Optical depths between which a share is interpolated.
 NODES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.95, 1.25, 1.6, 2.0, 2.5, 3.1, 3.8, 4.6, 5.6, 7.0, 9.0, 12.0, 20.0, 80.0)
 SMALLEST_SAMPLES = 0.75  # standard deviation of a Gaussian in samples of its level of the pyramid, at least
-# The pyramid blurs too. Means over blocks and linear interpolation add this variance, in squared samples.
+# The pyramid blurs too: its means over blocks and its linear interpolation have this variance, samples squared.
 PYRAMID_VARIANCE = 0.305
 MOR_DIGITS = 2  # of the visibility whose droplet sizes stand for a fog's: the shape changes slowly
 

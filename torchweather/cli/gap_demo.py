@@ -1,4 +1,4 @@
-"""``torchweather gap demo``: an effect drawn at random and hidden, searched for, and held against the truth.
+"""``torchweather gap demo``: an effect drawn at random and hidden, searched for, and compared with the answer.
 
 Nothing is hidden only where that is asked for (``--allow-none``).
 """

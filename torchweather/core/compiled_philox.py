@@ -15,16 +15,15 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from torchweather.core.compiled import jit
+from torchweather.core.device_normals import MULTIPLIERS, ROUNDS, WEYL
 
 __all__ = ["NORMALS_A_BLOCK", "draw_normals", "philox_words"]
 
 Words = NDArray[np.uint64]
 
 NORMALS_A_BLOCK = 16  # 4 words of 64 bits of a counter, 16 bits a normal
-ROUNDS = 10
-# Salmon et al. 2011, Philox 4 x 64.
-MULTIPLIER_0, MULTIPLIER_1 = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)
-WEYL_0, WEYL_1 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)
+MULTIPLIER_0, MULTIPLIER_1 = (np.uint64(one) for one in MULTIPLIERS)
+WEYL_0, WEYL_1 = (np.uint64(one) for one in WEYL)
 
 
 def _upper_half(typingctx: Any, a: Any, b: Any) -> Any:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchweather.core.random import normal_table
 
-__all__ = ["normals_by_torch"]
+__all__ = ["MULTIPLIERS", "ROUNDS", "WEYL", "normals_by_torch"]
 
 ROUNDS = 10
 # Salmon et al. 2011, Philox 4 x 64.

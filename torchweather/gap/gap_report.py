@@ -272,15 +272,20 @@ def _effect(name: str, fit: Fit, result: GapResult, weights: Sequence[Sequence[f
 
 def _at_bound(name: str, fit: Fit, result: GapResult, values: Mapping[str, float]) -> dict[str, str]:
     """Fitted parameters that stand at an end of the values that are searched, and at which one: the true value may lie
-    beyond it. An end where the effect does nothing is none."""
+    beyond it. An end where the effect does nothing is none, nor is one that nothing can exceed: 0, the whole of a
+    share, an angle all around."""
     found = {}
     for effect, parameter in fit.names:
         if effect != name:
             continue
         declared = next(one for one in effect_class(result.search.model, name).arguments if one.name == parameter)
-        room = AT_BOUND * (declared.high - declared.low)
-        for end, bound in (("lowest", declared.low), ("highest", declared.high)):
-            if bound != declared.identity and abs(values[parameter] - bound) <= room:
+        span = declared.high - declared.low
+        room = AT_BOUND * (span if math.isfinite(span) else declared.scale)
+        ends = {"lowest": declared.low} if declared.low != 0 else {}
+        if declared.unit != "1" or declared.high != 1:
+            ends["highest"] = declared.high
+        for end, bound in ({} if declared.unit == "rad" else ends).items():
+            if bound != declared.identity and math.isfinite(bound) and abs(values[parameter] - bound) <= room:
                 found[parameter] = end
     return found
 

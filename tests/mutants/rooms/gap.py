@@ -10,6 +10,14 @@ FORMULA = "torchweather.gap.statistics.formula"
 
 MUTANTS = (
     Mutant(
+        "the_whole_of_a_share_called_an_end",
+        "a value that nothing exceeds is no end of the search",
+        "torchweather.gap.gap_report",
+        'if declared.unit != "1" or declared.high != 1:',
+        "if declared.high != 0:",
+        ("tests/gap/test_gap_report.py::test_an_end_that_nothing_exceeds_is_no_end_of_the_search",),
+    ),
+    Mutant(
         "multiple_comparisons_not_corrected",
         "the least of many p-values is multiplied by their number",
         RESIDUAL,
