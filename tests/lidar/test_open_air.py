@@ -51,5 +51,6 @@ def test_a_sensor_that_states_its_response_has_no_range() -> None:
 
 
 def test_shares_in_words() -> None:
+    assert "33 % return from particles; 2.1 % to 33 %" in OpenAirReturns(0.33, 0.021, 0.32).text()
     assert "less than 0.01 % to 100 %" in OpenAirReturns(0.5, 1e-9, 1.0).text()
     assert OpenAirReturns(0.0, 0.0, 0.0).text().startswith("Of beams into open air 0 % return")

@@ -41,7 +41,8 @@ class OpenAirReturns:
         text = f"Of beams into open air {_percent(self.share)} return from particles"
         if self.slow is None or self.fast is None:
             return f"{text}, with the near response that the sensor states."
-        low, high = sorted((self.slow, self.fast))
+        # The sensor's own response is one of those that may be.
+        low, *_, high = sorted((self.slow, self.share, self.fast))
         return f"{text}; {_percent(low)} to {_percent(high)}, as the near response is not measured."
 
 
