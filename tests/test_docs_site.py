@@ -1,0 +1,95 @@
+"""The site of the documentation: every page has its place, and its reference comes from what the package has.
+
+CI builds the site itself (.ci/run), strictly: a dead link, a missing anchor or a missing name fails there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+import types
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import yaml
+
+from torchweather.cli.program import build_parser
+from torchweather.recipes import list_recipes
+
+ROOT = Path(__file__).parents[1]
+SITE = ROOT / "docs" / "_site"
+SECTIONS = ["Home", "Tutorials", "How-to", "Reference", "Explanation", "Validation", "Research notes"]
+WRITTEN_AT_BUILD = "reference/"
+
+
+class Generated:
+    """What a hook asks mkdocs to add."""
+
+    @staticmethod
+    def generated(config: Any, uri: str, *, content: str | bytes) -> tuple[str, str | bytes]:
+        return uri, content
+
+
+@pytest.fixture
+def hook(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ModuleType:
+    """A hook of the site as a module, without mkdocs, which the tests' environment lacks."""
+    places = ("mkdocs", "mkdocs.config", "mkdocs.config.defaults", "mkdocs.structure", "mkdocs.structure.files")
+    stand_ins = {name: types.ModuleType(name) for name in places}
+    stand_ins["mkdocs.config.defaults"].MkDocsConfig = object  # type: ignore[attr-defined]
+    stand_ins["mkdocs.structure.files"].File = Generated  # type: ignore[attr-defined]
+    stand_ins["mkdocs.structure.files"].Files = list  # type: ignore[attr-defined]
+    for name, module in stand_ins.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    spec = importlib.util.spec_from_file_location(request.param, SITE / f"{request.param}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def settings() -> dict[str, Any]:
+    loaded: dict[str, Any] = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    return loaded
+
+
+def pages_in(nav: list[Any]) -> Iterator[str]:
+    for entry in nav:
+        under = next(iter(entry.values())) if isinstance(entry, dict) else entry
+        if isinstance(under, list):
+            yield from pages_in(under)
+        else:
+            yield under
+
+
+def test_every_page_has_one_place_in_the_navigation() -> None:
+    nav = settings()["nav"]
+    assert [next(iter(section)) for section in nav] == SECTIONS
+    listed = [page for page in pages_in(nav) if not page.startswith(WRITTEN_AT_BUILD)]
+    there = [page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")]
+    assert sorted(listed) == sorted(there)
+
+
+def written_by(hook: ModuleType) -> dict[str, str]:
+    return dict(hook.on_files([], types.SimpleNamespace(docs_dir=str(ROOT / "docs"))))
+
+
+@pytest.mark.parametrize("hook", ["tables"], indirect=True)
+def test_the_reference_lists_every_recipe(hook: ModuleType) -> None:
+    page = written_by(hook)["reference/recipes.md"]
+    assert all(f"| `{recipe.name}` |" in page for recipe in list_recipes())
+
+
+@pytest.mark.parametrize("hook", ["commands"], indirect=True)
+def test_the_reference_lists_every_argument_of_every_command(hook: ModuleType) -> None:
+    page = written_by(hook)["reference/command-line.md"]
+    (commands,) = [a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)]
+    for name, parser in commands.choices.items():
+        assert f"\n## {name} " in page
+        for action in parser._actions:
+            if action.help is not argparse.SUPPRESS and not isinstance(action, argparse._HelpAction):
+                assert all(f"`{option}" in page for option in action.option_strings)
