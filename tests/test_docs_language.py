@@ -1,6 +1,7 @@
 """The language of the pages, as far as it can be counted: length of sentences, and phrases that read as a translation.
 
-A page that is still above a bar is listed with its figures. They may only fall, and a page that meets the bars leaves the list.
+A page that is still above a bar is listed with its figures. They may only fall. A page that meets the bars leaves
+the list.
 """
 
 from __future__ import annotations
@@ -35,7 +36,13 @@ class Language(NamedTuple):
 
 
 BARS = Language(AVERAGE_WORDS, LONGEST_WORDS, 0)
-STILL_ABOVE: dict[str, Language] = {}
+STILL_ABOVE: dict[str, Language] = {
+    "docs/PHYSICS.md": Language(19.5, 101, 0),
+    "docs/explanation/how-the-gap-is-found.md": Language(24.3, 92, 7),
+    "docs/gap-bench.md": Language(21.5, 64, 3),
+    "docs/gap-camera.md": Language(18.8, 53, 1),
+    "docs/gap-radar.md": Language(22.9, 62, 2),
+}
 
 
 def paragraphs(text: str) -> list[str]:
@@ -58,7 +65,9 @@ def sentences(text: str) -> list[str]:
     listed = []
     for paragraph in paragraphs(text):
         plain = re.sub(r"`[^`]*`", "Code", paragraph).replace("*", "")
-        listed += [sentence for sentence in END.split(plain) if set(sentence.split()) > {"Code"} or "Code" not in sentence]
+        listed += [
+            sentence for sentence in END.split(plain) if set(sentence.split()) > {"Code"} or "Code" not in sentence
+        ]
     return [sentence for sentence in listed if words(sentence)]
 
 
