@@ -19,6 +19,7 @@ PACKAGE = "torchweather"
 SECTION = re.compile(r"^## `(torchweather[\w.]*)`: (.*)$", re.MULTILINE)
 CODE = re.compile(r"`(\w+)`")
 LONGEST_VALUE = 60
+KINDS = {"class": "Classes", "function": "Functions", "value": "Values"}
 
 
 @dataclass(frozen=True)
@@ -112,22 +113,28 @@ def overview(modules: dict[str, list[Name]], page: Path) -> str:
 
 
 def module_page(module: str, names: list[Name], home: dict[str, Name]) -> str:
-    """Table of a module's names, and its functions in full."""
-    lines = [f"# {module}", "", "| name | | |", "| --- | --- | --- |"]
-    for name in names:
-        first = home[name.path]
-        if name.kind == "class":
-            shown = f"[`{name.name}`]({page_of(first).removeprefix('reference/')})"
-        elif name.kind == "function":
-            where = "" if first.module == module else f"{first.module}.md"
-            shown = f"[`{name.name}`]({where}#{name.path})"
-        else:
-            shown = f"`{name.name}`"
-        lines.append(f"| {shown} | {name.kind} | {name.first_line} |")
+    """Lists of a module's names by kind, and its functions in full."""
+    lines = [f"# {module}", "", "[Python](python.md)"]
+    for kind, title in KINDS.items():
+        listed = [name for name in names if name.kind == kind]
+        lines += ["", f"## {title}", ""] if listed else []
+        for name in listed:
+            about = f": {name.first_line}" if name.first_line else ""
+            lines.append(f"- {link_to(name, module, home[name.path])}{about}")
+    lines += ["", "## In full"] if any(name.kind == "function" and home[name.path] is name for name in names) else []
     for name in names:
         if name.kind == "function" and home[name.path] is name:
-            lines += ["", f"::: {name.path}"]
+            lines += ["", f"::: {name.path}", "    options:", "      heading_level: 3"]
     return "\n".join([*lines, ""])
+
+
+def link_to(name: Name, module: str, first: Name) -> str:
+    """Link from a module's page to the place of a name."""
+    if name.kind == "class":
+        return f"[`{name.name}`]({page_of(first).removeprefix('reference/')})"
+    if name.kind == "function":
+        return f"[`{name.name}`]({'' if first.module == module else f'{first.module}.md'}#{name.path})"
+    return f"`{name.name}`"
 
 
 def class_page(name: Name) -> str:
