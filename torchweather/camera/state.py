@@ -31,6 +31,8 @@ class CameraScene:
         sky: ``(1 or B, 1, H, W)`` share of each pixel that shows the sky; ``None``: where the depth is infinite.
         near_mask: ``(1 or B, 1, H, W)`` share of each pixel that shows the own vehicle, with no weather in front of it;
             ``None``: nowhere.
+        ground: ``(1 or B, 1, H, W)`` probability that a pixel shows the ground, where the depth is guessed; ``None``:
+            the ground is what is level and low.
         sine_elevation: ``(1 or B, 1, H, W)`` sine of each ray's elevation above the horizon; ``None`` where not known.
         damp: ``(B, 1, H, W)`` share of each pixel's surface that water can darken; ``None``: all of it.
         pool: ``(B, 1, H, W)`` share of each pixel's surface that lies under smooth water; ``None``: all of it.
@@ -43,6 +45,7 @@ class CameraScene:
     ray_in_layer_m: Tensor | None = None
     sky: Tensor | None = None
     near_mask: Tensor | None = None
+    ground: Tensor | None = None
     sine_elevation: Tensor | None = None
     damp: Tensor | None = None
     pool: Tensor | None = None

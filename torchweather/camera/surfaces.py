@@ -78,7 +78,12 @@ def footprint_of(state: CameraState, x_m: Tensor) -> Tensor:
 
 
 def ground_share(state: CameraState, x_m: Tensor, height_m: Tensor) -> Tensor:
-    """Share of road of each pixel, ``(B, 1, H, W)``: 1 where a surface is level and near the ground."""
+    """Share of road of each pixel, ``(B, 1, H, W)``: 1 where a surface is level and near the ground.
+
+    Where the depth is guessed it is the probability of the guess.
+    """
+    if state.scene.ground is not None:
+        return state.scene.ground.to(x_m)
     assert state.scene.normal is not None
     most_m = ROAD_HEIGHT_M + ROAD_HEIGHT_PER_M * x_m
     near = (2.0 - height_m.abs() / most_m).clamp(0.0, 1.0)
@@ -146,8 +151,8 @@ class CameraRoadWater(RoadWater):
     """
 
     reads: ClassVar[tuple[str, ...]] = (
-        *("scene.depth_m", "scene.intrinsics", "scene.normal", "scene.ray_per_depth", "scene.sine_elevation"),
-        *("image.signal", "receiver.camera"),
+        *("scene.depth_m", "scene.intrinsics", "scene.ground", "scene.normal"),
+        *("scene.ray_per_depth", "scene.sine_elevation", "image.signal", "receiver.camera"),
     )
     writes: ClassVar[tuple[str, ...]] = ("scene.damp", "scene.pool")
 

@@ -144,7 +144,7 @@ def padded_scene(scene: SceneDepth, height: int, width: int) -> SceneDepth:
     """The scene of the padded image."""
     larger: dict[str, Any] = {
         name: padded(value, height, width)
-        for name in ("depth_m", "sky", "near_mask")
+        for name in ("depth_m", "sky", "near_mask", "ground")
         if (value := getattr(scene, name)) is not None
     }
     return replace(scene, **larger)

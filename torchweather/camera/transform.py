@@ -595,6 +595,7 @@ class BayerWeather(WeatherTransform):
             ray_in_layer_m=rays.in_layer_m,
             sky=flat("sky"),
             near_mask=flat("near_mask"),
+            ground=flat("ground"),
             sine_elevation=rays.sine_elevation,
         )
 

@@ -184,7 +184,7 @@ def _resized(scene: SceneDepth, height: int, width: int) -> SceneDepth:
     depth_m = F.interpolate(scene.depth_m.reshape(1, 1, *scene.depth_m.shape[-2:]), (height, width), mode="nearest")[0]
     shares = {
         name: F.interpolate(share.reshape(1, 1, *share.shape[-2:]), (height, width), mode="area")[0]
-        for name in ("sky", "near_mask")
+        for name in ("sky", "near_mask", "ground")
         if (share := getattr(scene, name)) is not None
     }
     horizon_row = None if scene.horizon_row is None else scene.horizon_row * scale

@@ -13,7 +13,7 @@ from tests.camera.depth.street_corridor import corridor
 from torchweather.camera.depth.object_boxes import paint_boxes
 from torchweather.camera.depth.scene_prior import ScenePrior
 from torchweather.camera.depth.source import scene_of
-from torchweather.camera.depth.street_walls import sky_shares, street_depth, view_of_street
+from torchweather.camera.depth.street_walls import ground_probability, sky_shares, street_depth, view_of_street
 from torchweather.sensors import Camera
 
 CAMERA = Camera.from_intrinsics(fx=480.0, fy=480.0, cx=319.5, cy=119.5, width=640, height=240, height_m=1.6)
@@ -248,3 +248,36 @@ def test_sky_below_an_unsure_horizon_lowers_it() -> None:
     kept = ScenePrior(near_mask=None, horizon="camera").scene(camera, height, width, image=picture)
     assert kept.sky is not None
     assert float(kept.sky[0, truth - 3].max()) == 0.0, "a horizon that is given stays"
+
+
+def test_the_ground_of_a_guess_is_as_probable_as_walls_drawn_at_other_distances_leave_it() -> None:
+    view = view_of_street(CAMERA, *SIZE, 0.0, 0.03, None)
+    probability = ground_probability(street_depth(view, 1.6, (5.0, 9.0), 80.0), view, 1.6)
+    wall = 0.5 * (view.lateral.square() + 0.04**2).log()  # the street's rounded axis
+    right = 0.5 + 0.5 * torch.tanh(view.lateral / 0.08)
+    wall_m = (math.log(5.0) * (1.0 - right) + math.log(9.0) * right - wall).exp()
+    other_m = (wall_m**-4 + 80.0**-4) ** -0.25
+    ground_m = torch.where(view.fall > 0, 1.6 / view.fall.clamp_min(1e-9), torch.inf)
+    samples = 400
+    log_off = 0.4 * torch.randn(samples, generator=torch.Generator().manual_seed(3))
+    nearest = torch.stack([ground_m < other_m * off for off in log_off.exp()]).double().mean(0)
+    # All pixels share the draws: a binomial share is off by 4 deviations, 4 x 0.5 / sqrt(400), at most.
+    assert float((nearest - probability).abs().max()) < 0.1
+    assert float((nearest - probability).abs().mean()) < 0.02
+
+
+def test_the_ground_of_a_guess_ends_along_the_edges_of_the_picture_and_at_boxes() -> None:
+    picture, true, sky = corridor(CAMERA, half_width_m=(4.0, 8.0))
+    boxes = torch.tensor([[300.0, 110.0, 380.0, 190.0]])
+    prior = ScenePrior(street_half_width_m=(5.0, 6.0), farthest_m=200.0, sky=sky, horizon="camera", near_mask=None)
+    scene = prior.scene(CAMERA, *SIZE, image=picture)
+    assert scene.ground is not None
+    road = (torch.arange(240.0)[:, None] - 119.5) / 480.0 * true[0] > 1.6 - 1e-2  # 1.6 m below the camera
+    # The walls stand 1 m and 2 m elsewhere than guessed.
+    assert float(scene.ground[0][road & (true[0] < 20.0)].mean()) > 0.85
+    assert float(scene.ground[0][~road].mean()) < 0.1
+    assert float(scene.ground[0, :118].max()) < 0.05
+    with_car = replace(prior, boxes=boxes).scene(CAMERA, *SIZE, image=picture)
+    assert with_car.ground is not None
+    assert float(with_car.ground[0, 130:170, 320:360].max()) == 0.0
+    assert torch.equal(with_car.ground[0, :, :290], scene.ground[0, :, :290])

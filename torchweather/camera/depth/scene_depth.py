@@ -35,6 +35,8 @@ class SceneDepth:
             infinite.
         near_mask: ``(..., 1, H, W)`` share of each pixel that shows the own vehicle (bonnet, mirror, window frame),
             0..1; no weather lies in front of it. ``None``: nowhere.
+        ground: ``(..., 1, H, W)`` probability that a pixel shows the ground, 0..1, where the depth is guessed and its
+            normals with it; ``None``: the ground is what is level and low.
         horizon_row: row of the horizon at the principal point's column, pixels, where it was found in the picture.
         notes: sentences about what was guessed, for results and pages.
 
@@ -48,22 +50,24 @@ class SceneDepth:
     confidence: str = EXACT
     sky: Tensor | None = None
     near_mask: Tensor | None = None
+    ground: Tensor | None = None
     horizon_row: float | None = None
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_arguments(
             "SceneDepth(depth_m: Tensor, confidence: str, sky: Tensor | None, near_mask: Tensor | None, "
-            "horizon_row: float | None, notes: Sequence)",
+            "ground: Tensor | None, horizon_row: float | None, notes: Sequence)",
             self.depth_m,
             self.confidence,
             self.sky,
             self.near_mask,
+            self.ground,
             self.horizon_row,
             self.notes,
         )
         check_one_of("confidence", self.confidence, CONFIDENCES, owner=self)
-        for name in ("sky", "near_mask"):
+        for name in ("sky", "near_mask", "ground"):
             share = getattr(self, name)
             if share is not None and share.shape[-3:] != self.depth_m.shape[-3:]:
                 raise InputValueError(
@@ -80,7 +84,7 @@ class SceneDepth:
         """The scene of one sample of a batch ``(B, 1, H, W)``; what has no batch dimension is shared."""
         parts = {
             name: share[number] if share.ndim > 3 else share
-            for name in ("depth_m", "sky", "near_mask")
+            for name in ("depth_m", "sky", "near_mask", "ground")
             if (share := getattr(self, name)) is not None
         }
         return replace(self, **parts)
@@ -89,7 +93,7 @@ class SceneDepth:
         """The same on another device or in another dtype."""
         moved = {
             name: share.to(device=device, dtype=dtype)
-            for name in ("depth_m", "sky", "near_mask")
+            for name in ("depth_m", "sky", "near_mask", "ground")
             if (share := getattr(self, name)) is not None
         }
         return replace(self, **moved)

@@ -16,6 +16,7 @@ from torchweather.camera.depth.object_boxes import paint_boxes
 from torchweather.camera.depth.scene_depth import GUESSED, SceneDepth
 from torchweather.camera.depth.source import SceneSource
 from torchweather.camera.depth.street_walls import (
+    ground_probability,
     guessed_farthest_m,
     guessed_half_width_m,
     sky_shares,
@@ -32,6 +33,12 @@ __all__ = ["ScenePrior"]
 _USUAL_SKY = 0.17
 # Depth of the own vehicle: nearer than a metre from behind the windscreen (PHYSICS 10.12).
 _OWN_VEHICLE_M = 1.0
+# A box that brings a pixel nearer than this share of the plain street's depth hides the ground.
+_OF_OBJECT = 0.97
+# Guided filter of the ground's border along the picture's edges: window as a share of the width, variance of the
+# picture below which it is flat, and thinning.
+_BELOW_HORIZON = 0.01  # tangent over which ground begins below the horizon
+_EDGE_SHARE, _EDGE_EPS, _EDGE_SUBSAMPLE = 0.05, 1e-3, 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -184,10 +191,18 @@ class ScenePrior(SceneSource):
             f"and {sides[1]:.3g} m to the right, nothing farther than {farthest:.3g} m",
         )
         depth = street_depth(view, metres, sides, farthest, sky, shares)
+        ground = ground_probability(depth, view, metres)
+        if rgb is not None:
+            ground = along_edges(ground, rgb.to(ground.device)) * (view.fall / _BELOW_HORIZON).clamp(0.0, 1.0)
         if self.boxes is not None:
+            plain = depth
             depth, used = paint_boxes(depth, view.fall, self.boxes.to(depth.device), metres, farthest)
+            ground = ground * (depth >= _OF_OBJECT * plain)
             notes.append(f"{used} of {len(self.boxes)} boxes stand on the ground and give the depth of objects")
+        if sky is not None:
+            ground = ground * (1.0 - sky)
         if near is not None:
+            ground = ground * (1.0 - near)
             depth = torch.where(near > 0.5, depth.clamp(max=_OWN_VEHICLE_M), depth)
             if bool((near > 0).any()):
                 notes.append(f"the own vehicle covers {100 * float(near.mean()):.1f} % of the picture")
@@ -198,6 +213,7 @@ class ScenePrior(SceneSource):
             GUESSED,
             sky=None if sky is None else sky[None],
             near_mask=None if near is None else near[None],
+            ground=ground[None],
             horizon_row=horizon.row if horizon.confidence > 0 else None,
             notes=tuple(notes),
         )
@@ -247,3 +263,15 @@ class ScenePrior(SceneSource):
                 f"ScenePrior.{name}: expected shares 0..1; got values outside. Divide 8-bit masks by 255."
             )
         return share
+
+
+def along_edges(ground: Tensor, rgb: Tensor) -> Tensor:
+    """The ground's soft border ``(H, W)`` drawn along the edges of a picture ``(3, H, W)``: guided filter."""
+    from kornia.filters import guided_blur
+
+    size = 2 * round(_EDGE_SHARE * rgb.shape[-1] / 2) + 1
+    if min(rgb.shape[-2:]) <= size or size < 2 * _EDGE_SUBSAMPLE:  # the filter's reflected border needs more
+        return ground
+    guide = rgb.to(ground) / (255.0 if rgb.dtype == torch.uint8 else 1.0)
+    found: Tensor = guided_blur(guide[None], ground[None, None], size, _EDGE_EPS, subsample=_EDGE_SUBSAMPLE)
+    return found[0, 0].clamp(0.0, 1.0)

@@ -122,7 +122,7 @@ def scene_of(
     pictures = image.reshape(-1, *image.shape[-3:])
     scenes = [source.scene(camera, height, width, device=device, dtype=dtype, image=picture) for picture in pictures]
     together: dict[str, Any] = {}
-    for name in ("depth_m", "sky", "near_mask"):
+    for name in ("depth_m", "sky", "near_mask", "ground"):
         shares = [getattr(scene, name) for scene in scenes]
         if any(share is not None for share in shares):
             whole = [scene.sky_share if name == "sky" else share for scene, share in zip(scenes, shares, strict=True)]

@@ -154,6 +154,8 @@ def _mean_scene(window: Sequence[_Held[T]], middle: int, reach: int) -> SceneDep
     depth = torch.where(alone, torch.inf, torch.where(seen, mean, depth))
     masks = [(weight, held.scene.near_mask) for weight, held in near]
     near_mask = _mean([(weight, mask) for weight, mask in masks if mask is not None])
+    grounds = [(weight, held.scene.ground) for weight, held in near]
+    ground = _mean([(weight, share) for weight, share in grounds if share is not None])
     rows = [(weight, torch.tensor(row)) for weight, held in near if (row := held.scene.horizon_row) is not None]
     mean_row = _mean(rows)
     any_sky = any(held.scene.sky is not None for _, held in near)
@@ -162,6 +164,7 @@ def _mean_scene(window: Sequence[_Held[T]], middle: int, reach: int) -> SceneDep
         depth_m=depth,
         sky=sky if any_sky else None,
         near_mask=near_mask,
+        ground=ground,
         horizon_row=None if mean_row is None else float(mean_row),
     )
 

@@ -58,7 +58,7 @@ class CameraSnowCover(Effect):
     of_the_air: ClassVar[bool] = True
     needs: ClassVar[tuple[str, ...]] = ("camera", "normal")
     reads: ClassVar[tuple[str, ...]] = (
-        *("scene.depth_m", "scene.intrinsics", "scene.near_mask", "scene.normal", "scene.ray_per_depth"),
+        *("scene.depth_m", "scene.ground", "scene.intrinsics", "scene.near_mask", "scene.normal", "scene.ray_per_depth"),
         *("scene.sine_elevation", "scene.sky"),
         *("air.lamp_light", "air.skylight"),
         "image.signal",
@@ -74,12 +74,17 @@ class CameraSnowCover(Effect):
         """The white scene."""
         assert state.scene.normal is not None
         up = state.scene.normal[:, 2:].to(state.image.signal)
+        ground = state.scene.ground
+        if ground is not None:  # of a guessed depth no slope is known: what may be ground is level
+            up = torch.ones_like(up)
         x_m, y_m, _ = places(state)
         field = ground_noise(noise["ground"].to(up), x_m, y_m, footprint_of(state, x_m))
         log_std = self.value("uneven", field)
         share = snow_share(self.value("depth_mm", field) * uneven(field, log_std), up)
         # Normals of leaves and edges differ from pixel to pixel; what a lens shows of them is their mean.
         share = torch.nn.functional.avg_pool2d(share, SMOOTH_PX, 1, SMOOTH_PX // 2, count_include_pad=False)
+        if ground is not None:
+            share = share * ground.to(share)
         if state.scene.near_mask is not None:
             share = share * (1.0 - state.scene.near_mask)
         sky = state.air.skylight if state.air.skylight is not None else given_or_estimated(None, state, self)
