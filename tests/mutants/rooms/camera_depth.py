@@ -21,6 +21,32 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "guessed_ground_ends_where_the_guess_ends_it",
+        "ground of a guess ends as softly as its walls are known",
+        "torchweather.camera.depth.street_walls",
+        "torch.special.ndtr(step / _DEPTH_LOG_STD)",
+        "(step > 0).to(step)",
+        (
+            (
+                "tests/camera/depth/test_scene_prior.py::test_the_ground_of_a_guess_is_as_probable_as_walls_drawn_at_"
+                "other_distances_leave_it"
+            ),
+        ),
+    ),
+    Mutant(
+        "guessed_ground_runs_through_boxes",
+        "objects of a guess hide the ground",
+        "torchweather.camera.depth.scene_prior",
+        "ground = ground * (depth >= _OF_OBJECT * plain)",
+        "ground = ground * 1.0",
+        (
+            (
+                "tests/camera/depth/test_scene_prior.py::test_the_ground_of_a_guess_ends_along_the_edges_of_the_picture_"
+                "and_at_boxes"
+            ),
+        ),
+    ),
+    Mutant(
         "points_projected_from_behind",
         "points behind the camera do not appear in the picture",
         "torchweather.camera.depth.projection",

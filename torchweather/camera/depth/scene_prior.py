@@ -192,13 +192,13 @@ class ScenePrior(SceneSource):
         )
         depth = street_depth(view, metres, sides, farthest, sky, shares)
         ground = ground_probability(depth, view, metres)
-        if rgb is not None:
-            ground = along_edges(ground, rgb.to(ground.device)) * (view.fall / _BELOW_HORIZON).clamp(0.0, 1.0)
         if self.boxes is not None:
             plain = depth
             depth, used = paint_boxes(depth, view.fall, self.boxes.to(depth.device), metres, farthest)
             ground = ground * (depth >= _OF_OBJECT * plain)
             notes.append(f"{used} of {len(self.boxes)} boxes stand on the ground and give the depth of objects")
+        if rgb is not None:
+            ground = along_edges(ground, rgb.to(ground.device)) * (view.fall / _BELOW_HORIZON).clamp(0.0, 1.0)
         if sky is not None:
             ground = ground * (1.0 - sky)
         if near is not None:

@@ -58,7 +58,14 @@ class CameraSnowCover(Effect):
     of_the_air: ClassVar[bool] = True
     needs: ClassVar[tuple[str, ...]] = ("camera", "normal")
     reads: ClassVar[tuple[str, ...]] = (
-        *("scene.depth_m", "scene.ground", "scene.intrinsics", "scene.near_mask", "scene.normal", "scene.ray_per_depth"),
+        *(
+            "scene.depth_m",
+            "scene.ground",
+            "scene.intrinsics",
+            "scene.near_mask",
+            "scene.normal",
+            "scene.ray_per_depth",
+        ),
         *("scene.sine_elevation", "scene.sky"),
         *("air.lamp_light", "air.skylight"),
         "image.signal",
