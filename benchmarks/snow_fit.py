@@ -165,22 +165,25 @@ def numbers_by_range(weather: tw.Snow, sensor: tw.Lidar, gain_db: float) -> tupl
     return np.diff(upto[:, :-1], axis=1), upto[:, -1]
 
 
-def fitted_sizes(snow: Snow, density: Density, weather: tw.Snow, sensor: tw.Lidar) -> Sizes:
-    """Non-negative factors and the gain that give the ranges of the flakes, and the number that the density has."""
+def fitted_sizes(snow: Snow, density: Density, weather: tw.Snow, sensor: tw.Lidar) -> list[Sizes]:
+    """Non-negative factors that give the ranges of the flakes, and the number that the density has, for each gain.
+
+    Sorted, the best first. A low gain asks for very many flakes, whose pulses add up to far more echoes than each
+    makes alone; `numbers_by_range` does not see that, so the caller has to look at what they give together.
+    """
     counts, _ = np.histogram(snow.ranges_m[snow.ranges_m > 0], RANGE_EDGES_M)
     beams = float(density.of(snow).sum()) / density.number
     error = np.sqrt(counts + 1.0)
-    best = None
+    found = []
     for gain_db in GAINS_DB:
         by_range, upto = numbers_by_range(weather, sensor, gain_db)
         factors, residual = nnls((beams * by_range / error).T, counts / error)
         number = float(factors @ upto)
-        if number > 0 and (best is None or residual**2 < best.chi2):
+        if number > 0:
             # The chance of a flake in a beam is what the density was fitted to.
             scaled = tuple(min(float(one) * density.number / number, 100.0) for one in factors)
-            best = Sizes(scaled, gain_db, float(residual**2), len(counts))
-    assert best is not None
-    return best
+            found.append(Sizes(scaled, gain_db, float(residual**2), len(counts)))
+    return sorted(found, key=lambda one: one.chi2)
 
 
 def matching_rate(weather: tw.Snow, sensor: tw.Lidar, share: float) -> float:
