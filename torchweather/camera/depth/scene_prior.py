@@ -198,10 +198,7 @@ class ScenePrior(SceneSource):
             ground = ground * (depth >= _OF_OBJECT * plain)
             notes.append(f"{used} of {len(self.boxes)} boxes stand on the ground and give the depth of objects")
         if rgb is not None:
-            falls = (view.fall > 0).any(1)
-            first = int(falls.int().argmax()) if bool(falls.any()) else 0  # above it there is no ground to filter
-            below = along_edges(ground[first:], rgb[:, first:].to(ground.device))
-            ground = torch.cat([ground[:first], below]) * (view.fall / _BELOW_HORIZON).clamp(0.0, 1.0)
+            ground = along_edges(ground, rgb.to(ground.device)) * (view.fall / _BELOW_HORIZON).clamp(0.0, 1.0)
         if sky is not None:
             ground = ground * (1.0 - sky)
         if near is not None:
