@@ -149,7 +149,7 @@ def ground_probability(depth_m: Tensor, view: StreetView, camera_height_m: float
         >>> view = view_of_street(camera, 61, 101, 0.0, 0.0, None)
         >>> ground = ground_probability(street_depth(view, 1.5, (5.0, 5.0), 60.0), view, 1.5)
         >>> ground[[20, 32, 60], [50, 50, 50]].round(decimals=2)  # above the horizon, by the far end, 5 m ahead
-        tensor([0.0000, 0.3000, 1.0000])
+        tensor([0.0000, 0.2800, 1.0000])
     """
     ground = view.fall.clamp_min(0.0) / camera_height_m  # 1/m
     fourth = ground.square().square()
