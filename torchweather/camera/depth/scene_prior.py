@@ -37,7 +37,7 @@ _OWN_VEHICLE_M = 1.0
 _OF_OBJECT = 0.97
 # Guided filter of the ground's border along the picture's edges: window as a share of the width, variance of the
 # picture below which it is flat, and thinning.
-_BELOW_HORIZON = 0.01  # tangent over which ground begins below the horizon
+_UNLIKELY = 0.15  # probability below which the filter may not carry ground, towards the horizon
 _EDGE_SHARE, _EDGE_EPS, _EDGE_SUBSAMPLE = 0.05, 1e-3, 4
 
 
@@ -191,14 +191,14 @@ class ScenePrior(SceneSource):
             f"and {sides[1]:.3g} m to the right, nothing farther than {farthest:.3g} m",
         )
         depth = street_depth(view, metres, sides, farthest, sky, shares)
-        ground = ground_probability(depth, view, metres)
+        of_street = ground = ground_probability(depth, view, metres)
         if self.boxes is not None:
             plain = depth
             depth, used = paint_boxes(depth, view.fall, self.boxes.to(depth.device), metres, farthest)
             ground = ground * (depth >= _OF_OBJECT * plain)
             notes.append(f"{used} of {len(self.boxes)} boxes stand on the ground and give the depth of objects")
         if rgb is not None:
-            ground = along_edges(ground, rgb.to(ground.device)) * (view.fall / _BELOW_HORIZON).clamp(0.0, 1.0)
+            ground = along_edges(ground, rgb.to(ground.device)) * (of_street / _UNLIKELY).clamp(max=1.0)
         if sky is not None:
             ground = ground * (1.0 - sky)
         if near is not None:
