@@ -99,4 +99,6 @@ def listing_text(names: dict[str, Any]) -> str:
     lines += ["", "Water and snow on things (--weather rain:rate=10+KIND:FIELD=VALUE)", ""]
     lines += ["  " + line for line in aligned([[one["name"], ", ".join(one["fields"])] for one in names["conditions"]])]
     lines += ["", "Stages", "", *(f"  {name}" for name in names["stages"])]
-    return "\n".join([*lines, "", f"Drops and flakes before cameras: rendered by {names['particles_rendered_by']}"])
+    return "\n".join(
+        [*lines, "", f"Drops and flakes before cameras, LiDAR clouds: rendered by {names['particles_rendered_by']}"]
+    )

@@ -14,6 +14,8 @@ from torch import Tensor
 
 __all__ = [
     "FULL_SCALE",
+    "LOG_STEP",
+    "WHITE",
     "are_integers",
     "borrowed_intensity",
     "dimmed_intensity",
@@ -36,7 +38,7 @@ FULL_SCALE: dict[str, float | None] = {
 WHITE = {"reflectivity": 1.0, "reflectivity_percent": 100.0, "uint8_linear": 255.0, "uint8_calibrated": 100.0}
 # uint8_calibrated above 100 is logarithmic up to this reflectivity at 255 (generic: makers do not publish it).
 RETROREFLECTIVE_AT_255 = 100.0
-_LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 155.0
+LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 155.0
 # Units whose values may be integers; those are then rounded down.
 COUNTED = ("reflectivity_percent", "uint8_linear", "uint8_calibrated", "photons")
 
@@ -119,7 +121,7 @@ def reflectivity_from_intensity(intensity: Tensor, unit: str, assumed: float) ->
     if unit != "uint8_calibrated":
         return linear
     # Values that 8 bits cannot hold count as 255: the exponential of 3087 would overflow.
-    above = torch.exp((intensity.clamp_max(255.0) - 100.0) * _LOG_STEP)
+    above = torch.exp((intensity.clamp_max(255.0) - 100.0) * LOG_STEP)
     return torch.where(intensity > 100.0, above, linear)
 
 
@@ -127,7 +129,7 @@ def _intensity_from_reflectivity(reflectivity: Tensor, unit: str) -> Tensor:
     linear = reflectivity * WHITE[unit]
     if unit != "uint8_calibrated":
         return linear
-    return torch.where(reflectivity > 1.0, 100.0 + reflectivity.clamp_min(1.0).log() / _LOG_STEP, linear)
+    return torch.where(reflectivity > 1.0, 100.0 + reflectivity.clamp_min(1.0).log() / LOG_STEP, linear)
 
 
 def dimmed_intensity(intensity: Tensor, gain: Tensor, unit: str, integral: Tensor) -> Tensor:
@@ -146,8 +148,8 @@ def dimmed_intensity(intensity: Tensor, gain: Tensor, unit: str, integral: Tenso
     middle = torch.where(integral, intensity + 0.5, intensity) if unit in COUNTED else intensity
     if unit == "uint8_calibrated":
         # In the logarithmic part the logarithm of the gain adds; below it the value is linear again.
-        brighter = middle + gain.clamp_min(1e-30).log() / _LOG_STEP
-        above = torch.where(brighter > 100.0, brighter, 100.0 * torch.exp((brighter - 100.0) * _LOG_STEP))
+        brighter = middle + gain.clamp_min(1e-30).log() / LOG_STEP
+        above = torch.where(brighter > 100.0, brighter, 100.0 * torch.exp((brighter - 100.0) * LOG_STEP))
         dimmed = torch.where(middle > 100.0, above, middle * gain)
     else:
         dimmed = middle * gain

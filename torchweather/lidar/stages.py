@@ -574,6 +574,10 @@ class ParticleReturns(Stage):
 
         return _echoes(part, beam, reach_m, arrival, place, strongest, state.air.beam_density)
 
+    def table_of(self, kind: str, extinction: Tensor) -> ReturnTable:
+        """The table of a kind of weather without effects on the air, at the extinction of all weather, 1/m ``(B,)``."""
+        return self._table(self.kinds[kind], self.beam, extinction.to(self.beam.threshold.dtype), None)
+
     def _table(
         self,
         part: BeamParticles | SoftReturn,

@@ -20,6 +20,7 @@ from torchweather.core.distributions import Distribution
 from torchweather.core.errors import InputValueError, check_one_of
 from torchweather.core.precision import outside_autocast
 from torchweather.core.threads import one_thread_an_operation
+from torchweather.lidar import compiled
 from torchweather.lidar.beams import COMPLETE_SCAN, BeamFinder, Beams
 from torchweather.lidar.cloud_frame import directions_in_sensor_frame, points_in_cloud_frame
 from torchweather.lidar.clouds import check_points
@@ -317,6 +318,10 @@ class LidarWeather(WeatherTransform):
             if isinstance(stage, kind):
                 return stage
         raise InputValueError(f"{type(self).__name__}: the chain has no {kind.__name__} stage.")
+
+    def extra_repr(self) -> str:
+        """The path that weathers clouds on the processor."""
+        return f"weathered by {compiled.rendered_by(self.chain)}"
 
     # ---- calls -------------------------------------------------------------------------------------------------
 
@@ -622,6 +627,8 @@ class LidarWeather(WeatherTransform):
             flat = {key: value.to(state.scene.points_in.device) for key, value in known.items()}
         if first_row is not None:  # echoes of one beam meet the same particles
             flat = {key: _of_first(value, first_row) for key, value in flat.items()}
+        if compiled.covers(self.chain, state, flat):
+            return compiled.weathered(self.chain, state, flat)
         if self._is_large(state):
             return self._in_portions(state, flat)
         return self._in_chain(state, flat)

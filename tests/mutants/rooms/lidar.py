@@ -16,6 +16,14 @@ SENSOR_ORIGIN = "torchweather.lidar.sweep.sensor_origin"
 
 MUTANTS = (
     Mutant(
+        "compiled_echoes_of_one_arrival",
+        "the next strongest particle arrives after the sum of two exponentials",
+        "torchweather.lidar.compiled_beams",
+        "arrived -= log_of_sum",
+        "arrived = -log_of_sum",
+        ("tests/lidar/test_compiled_beams.py::test_compiled_clouds_are_those_of_torch",),
+    ),
+    Mutant(
         "faint_echoes_left_out_for_every_chain",
         "an effect that lowers the threshold sees the echoes below it",
         "torchweather.lidar.transform",
@@ -165,8 +173,8 @@ MUTANTS = (
         "calibrated_bytes_above_100_linear",
         "Velodyne's scale is logarithmic above 100",
         INTENSITY,
-        "_LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 155.0",
-        "_LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 255.0",
+        "LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 155.0",
+        "LOG_STEP = math.log(RETROREFLECTIVE_AT_255) / 255.0",
         (
             (
                 "tests/lidar/test_intensity.py::test_calibrated_bytes_are_linear_to_white_and_logarithmic_"

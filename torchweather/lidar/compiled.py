@@ -1,0 +1,253 @@
+"""Compiled path of a LiDAR's beams on the processor: what it covers, and its calls.
+
+Results equal those of torch to rounding: ln and exp by polynomials (2e-7). What stays with torch is in `rendered_by`;
+so do gradients, exported graphs, clouds in double precision and devices other than the processor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import partial
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchweather.core.compiled import compiled_path, uses_compiled
+from torchweather.core.threads import side_by_side, threads_at_hand
+from torchweather.lidar.beam import Beam
+from torchweather.lidar.intensity import LOG_STEP, WHITE
+from torchweather.lidar.returns.beam_particles import BeamParticles
+from torchweather.lidar.returns.soft_return import SoftReturn
+from torchweather.lidar.returns.strongest import ARRIVAL_HIGH, ARRIVAL_LOW, ARRIVAL_NODES, PLACE_NODES, ReturnTable
+from torchweather.lidar.sensor import CALIBRATION_REFLECTIVITY
+from torchweather.lidar.stages import (
+    DB,
+    LEAST_RAMP,
+    NO_RANGE_M2,
+    Detection,
+    Extinction,
+    ParticleReturns,
+    ToEnergy,
+    ToPoints,
+)
+from torchweather.lidar.state import LidarState
+from torchweather.pipeline.chain import Chain
+from torchweather.pipeline.tiling import is_exporting
+
+if TYPE_CHECKING:
+    from torchweather.lidar.compiled_beams import Part, Receiver
+
+__all__ = ["covers", "rendered_by", "weathered"]
+
+PLAIN = (ToEnergy, Extinction, ParticleReturns, Detection, ToPoints)
+MODES = ("strongest", "first", "last", "dual")
+FEWEST_BEAMS = 1 << 14  # of a thread of its own
+LATE_STEP = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
+SLACK = 1e-3  # of the arrival from which on no echo counts, against rounding
+
+Array = NDArray[np.float32]
+NO_MAP: Array = np.zeros((0, 0), np.float32)
+NO_ROW: Array = np.zeros(0, np.float32)
+
+
+def rendered_by(chain: Chain) -> str:
+    """Name of the path that weathers clouds on the processor, with the reason where it is torch."""
+    path = compiled_path()
+    if path != "numba":
+        return path
+    stages = list(chain.stages.items())
+    for name, stage in stages:
+        if type(stage) not in PLAIN:
+            return f"torch ({name})"
+    if tuple(type(stage) for _, stage in stages) != PLAIN:
+        return "torch (another chain of stages)"
+    parts = _returns(chain).kinds.values()
+    if any(isinstance(part, BeamParticles) and part.published for part in parts):
+        return "torch (variant d3_4)"
+    return path
+
+
+def covers(chain: Chain, state: LidarState, noise: Mapping[str, Tensor]) -> bool:
+    """True where the compiled path weathers this cloud."""
+    if is_exporting() or not uses_compiled() or rendered_by(chain) != "numba":
+        return False
+    scene, air, receiver = state.scene, state.air, state.receiver
+    changed = (air.density_scale, air.patches, air.path_density, air.beam_density, air.size_factors)
+    if any(one is not None for one in (*changed, receiver.threshold_scale, receiver.extra_divergence_rad)):
+        return False
+    clouds = (scene.points_in, scene.clear_range_m, air.reach_m)
+    if not scene.points_in.numel() or any(one.dtype != torch.float32 for one in clouds):
+        return False
+    learns = torch.is_grad_enabled()
+    used = (*clouds, scene.empty_direction, *noise.values(), *chain.buffers(), *chain.parameters())
+    return all(one is None or (one.device.type == "cpu" and not (learns and one.requires_grad)) for one in used)
+
+
+def weathered(chain: Chain, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
+    """The state after the chain; the same on any number of threads.
+
+    Args:
+        chain, state: as of `covers`, which holds.
+        noise: of the chain, ``(B, ..., N)``.
+    """
+    from torchweather.lidar.compiled_beams import Cloud, Drawn, Out, weather_beams
+
+    energy, extinguishing, returns, _, to_points = chain.stages.values()
+    assert isinstance(energy, ToEnergy)
+    assert isinstance(extinguishing, Extinction)
+    assert isinstance(returns, ParticleReturns)
+    assert isinstance(to_points, ToPoints)
+    scene, batch = state.scene, state.batch
+    count, reported = scene.points_in.shape[1], to_points.reported
+    with torch.no_grad():
+        extinction = extinguishing.extinction_per_m(batch).to(scene.points_in.dtype)
+        tables = {kind: returns.table_of(kind, extinction) for kind in returns.kinds}
+    points, clear_signal = torch.empty_like(scene.points_in), torch.empty(batch, count)
+    second = torch.empty_like(points) if reported == 2 else None
+    range_m, signal = torch.empty(batch, count, reported), torch.empty(batch, count, reported)
+    kind = torch.empty(batch, count, reported, dtype=torch.int8)
+    given, direction = _array(scene.points_in), _map_of(scene.empty_direction)
+    clear_m, reach_m, borrowed = (
+        _map_of(one) for one in (scene.clear_range_m, state.air.reach_m, scene.borrowed_intensity)
+    )
+    margin, noises = _array(noise["to_energy.margin"]), noise.get("to_points.range_noise")
+    receiver = _receiver(energy, returns, to_points)
+    shares = max(1, min(threads_at_hand(), count // FEWEST_BEAMS))
+    edges = [count * share // shares for share in range(shares + 1)]
+    zeros = scene.zero_intensity
+    tasks = []
+    for sample in range(batch):
+        out = Out(
+            points[sample].numpy(),
+            NO_MAP if second is None else second[sample].numpy(),
+            *(one[sample].numpy() for one in (clear_signal, range_m, signal, kind)),
+        )
+        cloud = Cloud(
+            given[sample],
+            direction[min(sample, len(direction) - 1)] if len(direction) else NO_MAP,
+            clear_m[sample],
+            reach_m[sample],
+            borrowed[sample] if len(borrowed) else NO_ROW,
+            np.float32(scene.integral[sample, 0]),
+            np.float32(0.0 if zeros is None else zeros[sample, 0]),
+            np.float32(extinction[sample]),
+        )
+        drawn = Drawn(margin[sample], NO_MAP if noises is None else _array(noises[sample]))
+        parts = [
+            _part(part, returns.beam, tables[name].of_sample(sample), noise, name, sample, receiver.threshold)
+            for name, part in returns.kinds.items()
+        ]
+        parts += [_nothing()] * (3 - len(parts))
+        own = partial(weather_beams, out, cloud, drawn, *parts, receiver)
+        tasks += [partial(own, first, last) for first, last in pairwise(edges)]
+    side_by_side(tasks)
+    return state.changed(
+        clear_signal=clear_signal,
+        range_m=range_m,
+        signal=signal,
+        kind=kind,
+        points=points,
+        second=second,
+        extinction_per_m=extinction,
+        threshold=energy.beam.threshold,
+        sensor=energy.sensor,
+    )
+
+
+def _returns(chain: Chain) -> ParticleReturns:
+    found = next(stage for stage in chain.stages.values() if isinstance(stage, ParticleReturns))
+    return found
+
+
+def _array(values: Tensor) -> Array:
+    """A tensor's values as float32 in row-major order."""
+    array: Array = values.detach().float().contiguous().numpy()
+    return array
+
+
+def _map_of(values: Tensor | None) -> Array:
+    return NO_MAP if values is None else _array(values)
+
+
+def _receiver(energy: ToEnergy, returns: ParticleReturns, to_points: ToPoints) -> Receiver:
+    from torchweather.lidar.compiled_beams import UNITS, Receiver
+
+    beam, sensor = energy.beam, to_points.sensor
+    single = {
+        "threshold": beam.threshold,
+        "mean_margin": DB * energy.margin_db,
+        "near_start_m": beam.near_start_m,
+        "near_full_m": beam.near_full_m,
+        "near_power": beam.near_power,
+        "least_ramp": LEAST_RAMP,
+        "full_signal": CALIBRATION_REFLECTIVITY,
+        "nearest_m": sensor.near_start_m,
+        "apart_m": sensor.echo_separation,
+        "white": WHITE.get(sensor.intensity_unit, 0.0),
+        "assumed": sensor.assumed_reflectivity,
+        "log_step": LOG_STEP,
+        "least_range_m2": NO_RANGE_M2,
+        "photons_at_threshold": to_points.photons_at_threshold,
+        "range_noise_m": to_points.range_noise_m,
+        "range_step_m": sensor.range_resolution_m,
+    }
+    values = {name: np.float32(value) for name, value in single.items()}
+    return Receiver(**values, unit=UNITS[sensor.intensity_unit], mode=MODES.index(sensor.return_mode))
+
+
+def _nothing() -> Part:
+    from torchweather.lidar.compiled_beams import Part
+
+    return Part(NO_ROW, NO_ROW, NO_ROW, NO_MAP, NO_MAP, 2, 2, 2, 2, *([np.float32(0.0)] * 10))
+
+
+def _part(
+    part: BeamParticles | SoftReturn,
+    beam: Beam,
+    table: ReturnTable,
+    noise: Mapping[str, Tensor],
+    kind: str,
+    sample: int,
+    threshold: np.float32,
+) -> Part:
+    """Returns of one kind of weather for one sample."""
+    from torchweather.lidar.compiled_beams import Part
+
+    arrival, place = (_array(noise[f"particle_returns.{kind}_{name}"][sample]) for name in ("arrival", "place"))
+    grid = part.grid
+    if isinstance(part, SoftReturn):
+        photon_signal = float(beam.threshold / part.photons_at_threshold)
+        low, step = part.root_low, part.root_step
+        faintest = (math.sqrt(float(threshold) / photon_signal) - low) / step
+    else:
+        photon_signal, low, step = 0.0, part.log_low, part.log_step
+        faintest = (math.log(float(threshold)) - low) / step
+    signal = _array(table.signal[0])
+    axis = (
+        *(1.0 / LATE_STEP, math.log(ARRIVAL_LOW) / LATE_STEP),
+        *(grid.near_m, grid.scale_m, (grid.nodes - 1) / grid.stretch, grid.stretch / (grid.nodes - 1)),
+        *(low, step, photon_signal, _never(signal.reshape(table.places, ARRIVAL_NODES), faintest)),
+    )
+    flat = (signal, _array(table.share[0]), _array(table.place[0]), arrival, place)
+    sizes = (table.places, table.signals, ARRIVAL_NODES, PLACE_NODES)
+    return Part(*flat, *sizes, *(np.float32(value) for value in axis))
+
+
+def _never(signal: Array, faintest: float) -> float:
+    """Variate of an arrival from which on no beam has an echo of a place on the axis of signals.
+
+    Args:
+        signal: ``(places, arrivals)``; it falls with the arrival.
+        faintest: the place.
+    """
+    counts = np.flatnonzero(signal.max(0) >= faintest - SLACK)
+    last = 1 + int(counts[-1]) if counts.size else 0
+    if last >= ARRIVAL_NODES - 1:
+        return 2.0
+    arrival = ARRIVAL_LOW * math.exp(LATE_STEP * last) * (1.0 + SLACK)
+    return -math.expm1(-arrival) + 1e-7
