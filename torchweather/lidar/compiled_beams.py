@@ -230,13 +230,15 @@ def _add_objects(
 ) -> None:
     """Begin the lists of a block of beams with their objects, as ``ToEnergy`` and ``Extinction``."""
     twice = np.float32(-2) * cloud.extinction_per_m
-    for at in range(echoes.count.size):
+    points, range_m, zero = cloud.points, cloud.range_m, cloud.zero_intensity
+    ranges, signals, counts = echoes.range_m, echoes.signal, echoes.count
+    for at in range(counts.size):
         beam = first + at
-        clear_m, signal = cloud.range_m[beam], ZERO
-        echoes.range_m[at, 0], echoes.signal[at, 0], echoes.count[at] = clear_m, ZERO, 1
+        clear_m, signal = range_m[beam], ZERO
+        ranges[at, 0], signals[at, 0], counts[at] = clear_m, ZERO, 1
         if clear_m > ZERO:
-            signal = _clear_signal(cloud.points[beam, 3], clear_m, margin[beam], cloud.zero_intensity, receiver)
-            echoes.signal[at, 0] = signal * exp_of(twice * clear_m) if twice < ZERO else signal
+            signal = _clear_signal(points[beam, 3], clear_m, margin[beam], zero, receiver)
+            signals[at, 0] = signal * exp_of(twice * clear_m) if twice < ZERO else signal
         clear_signal[beam] = signal
 
 
@@ -245,24 +247,26 @@ def _add_particles(echoes: Echoes, reach_m: Array, faintest: np.float32, part: P
     """Add the echoes of one kind of weather to the lists of a block of beams, as ``ParticleReturns``."""
     most = part.arrival.shape[0]
     last_node, last_arrival = np.float32(part.nodes - 1), np.float32(part.arrivals - 1)
-    for at in range(echoes.count.size if most > 0 else 0):
+    arrivals, places, row_of, share_of, place_of = part.arrival, part.at, part.signal, part.share, part.place
+    ranges, signals, counts = echoes.range_m, echoes.signal, echoes.count
+    for at in range(counts.size if most > 0 else 0):
         beam = first + at
         far_m = reach_m[beam]
-        if part.arrival[0, beam] >= part.never or not far_m > part.near_m:
+        if arrivals[0, beam] >= part.never or not far_m > part.near_m:
             continue
         position = log_of_sum(ONE, (far_m - part.near_m) / part.scale_m) * part.position_scale
         position = min(position, last_node)
         column = _node(position, part.nodes)
-        beyond, arrived, count = position - np.float32(column), ZERO, echoes.count[at]
+        beyond, arrived, count = position - np.float32(column), ZERO, counts[at]
         for echo in range(most):
-            arrived -= log_of_sum(ZERO, ONE - part.arrival[echo, beam])
+            arrived -= log_of_sum(ZERO, ONE - arrivals[echo, beam])
             late = log_of_sum(ZERO, arrived) * part.late_scale - part.late_shift if arrived > ZERO else ZERO
             late = min(max(late, ZERO), last_arrival)
             early = _node(late, part.arrivals)
             own, index = late - np.float32(early), column * part.arrivals + early
-            here = _between(part.signal[index], part.signal[index + 1], own)
+            here = _between(row_of[index], row_of[index + 1], own)
             index += part.arrivals
-            row = _between(here, _between(part.signal[index], part.signal[index + 1], own), beyond)
+            row = _between(here, _between(row_of[index], row_of[index + 1], own), beyond)
             if not row > ZERO:
                 break
             if part.photon_signal > ZERO:
@@ -274,17 +278,17 @@ def _add_particles(echoes: Echoes, reach_m: Array, faintest: np.float32, part: P
                 break
             node = _node(row, part.signals)
             index = node * part.nodes + column
-            before = _between(part.share[index], part.share[index + 1], beyond) * part.at[echo, beam]
+            before = _between(share_of[index], share_of[index + 1], beyond) * places[echo, beam]
             before = min(max(before, ZERO), ONE)
             v = np.sqrt(before / (ONE + np.sqrt(ONE - before))) * np.float32(part.places - 1)
             place = _node(v, part.places)
             index = node * part.places + place
-            found = min(_between(part.place[index], part.place[index + 1], v - np.float32(place)), position)
+            found = min(_between(place_of[index], place_of[index + 1], v - np.float32(place)), position)
             grown = np.float32(np.expm1(found * part.stretch))
-            echoes.range_m[at, count] = min(part.near_m + part.scale_m * grown, far_m)
-            echoes.signal[at, count] = signal
+            ranges[at, count] = min(part.near_m + part.scale_m * grown, far_m)
+            signals[at, count] = signal
             count += 1
-        echoes.count[at] = count
+        counts[at] = count
 
 
 @jit
@@ -323,24 +327,25 @@ def _end(range_m: Array, strength: Array, at: int, count: int, apart_m: np.float
 def _choose(echoes: Echoes, clear_m: Array, receiver: Receiver, first: int) -> None:
     """Choose the reported echoes of a block of beams, as ``Detection``."""
     strength, range_m = echoes.strength, echoes.range_m
-    for at in range(echoes.count.size):
-        count = echoes.count[at]
+    signals, counts, chosen = echoes.signal, echoes.count, echoes.chosen
+    for at in range(counts.size):
+        count = counts[at]
         for echo in range(count):
-            signal = echoes.signal[at, echo]
+            signal = signals[at, echo]
             strength[at, echo] = signal if signal >= receiver.threshold else ZERO
         # Nothing lies in front of an object that near; one without any signal was taken away.
         own_m = clear_m[first + at]
-        if own_m > ZERO and own_m < receiver.nearest_m and echoes.signal[at, 0] > ZERO:
+        if own_m > ZERO and own_m < receiver.nearest_m and signals[at, 0] > ZERO:
             strength[at, 0] = INFINITE
         strongest = _strongest(strength, at, count)
         end = strongest
         if receiver.mode > 0 and count > 1:
             end = _end(range_m, strength, at, count, receiver.apart_m, receiver.mode == 1)
-        echoes.chosen[at, 0] = strongest if receiver.mode == 3 else end
+        chosen[at, 0] = strongest if receiver.mode == 3 else end
         if receiver.mode == 3:
             # One echo is reported once: a beam whose strongest echo is its last has no second return.
             again = end >= 0 and range_m[at, end] == range_m[at, strongest]
-            echoes.chosen[at, 1] = -1 if again else end
+            chosen[at, 1] = -1 if again else end
 
 
 @jit
@@ -392,13 +397,16 @@ def _report(
     """Write one of the reported echoes of a block of beams and its points, as ``ToPoints``."""
     given, is_integral = cloud.points, cloud.integral > ZERO
     columns = given.shape[1]
+    cloud_m, direction, borrowed, clear_signal = cloud.range_m, cloud.direction, cloud.borrowed, out.clear_signal
+    kinds, ranges, signals = out.kind, out.range_m, out.signal
+    chosen, echo_m, echo_signal = echoes.chosen, echoes.range_m, echoes.signal
     for at in range(echoes.count.size):
-        beam, echo = first + at, echoes.chosen[at, number]
-        label, range_m, signal, clear_m = LOST, ZERO, ZERO, cloud.range_m[beam]
+        beam, echo = first + at, chosen[at, number]
+        label, range_m, signal, clear_m = LOST, ZERO, ZERO, cloud_m[beam]
         if echo >= 0:
             label = OBJECT if echo == 0 else PARTICLE
-            range_m, signal = echoes.range_m[at, echo], echoes.signal[at, echo]
-        out.kind[beam, number], out.range_m[beam, number], out.signal[beam, number] = label, range_m, signal
+            range_m, signal = echo_m[at, echo], echo_signal[at, echo]
+        kinds[beam, number], ranges[beam, number], signals[beam, number] = label, range_m, signal
         for column in range(columns):
             points[beam, column] = given[beam, column]
         if label == LOST:
@@ -407,7 +415,7 @@ def _report(
                 points[beam, column] = ZERO
             continue
         if label == OBJECT:
-            gain = signal / out.clear_signal[beam]
+            gain = signal / clear_signal[beam]
             points[beam, 3] = _dimmed(given[beam, 3], gain, is_integral, receiver)
             continue
         if receiver.range_noise_m > ZERO:
@@ -416,9 +424,9 @@ def _report(
             range_m = np.rint(range_m / receiver.range_step_m) * receiver.range_step_m
         scale = range_m / clear_m if clear_m > ZERO else range_m
         for column in range(3):
-            points[beam, column] = (given[beam, column] if clear_m > ZERO else cloud.direction[beam, column]) * scale
-        if cloud.borrowed.size > 0:
-            points[beam, 3] = cloud.borrowed[beam]
+            points[beam, column] = (given[beam, column] if clear_m > ZERO else direction[beam, column]) * scale
+        if borrowed.size > 0:
+            points[beam, 3] = borrowed[beam]
         else:
             points[beam, 3] = _of_particle(signal, range_m, is_integral, receiver)
 

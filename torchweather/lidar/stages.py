@@ -575,8 +575,21 @@ class ParticleReturns(Stage):
         return _echoes(part, beam, reach_m, arrival, place, strongest, state.air.beam_density)
 
     def table_of(self, kind: str, extinction: Tensor) -> ReturnTable:
-        """The table of a kind of weather without effects on the air, at the extinction of all weather, 1/m ``(B,)``."""
-        return self._table(self.kinds[kind], self.beam, extinction.to(self.beam.threshold.dtype), None)
+        """The table of a kind of weather without effects on the air, by compiled loops, to rounding.
+
+        Args:
+            kind: of the weather.
+            extinction: ``(B,)`` of all weather together, 1/m.
+        """
+        part, extinction = self.kinds[kind], extinction.to(self.beam.threshold.dtype)
+
+        def solved(own: Tensor) -> ReturnTable:
+            if isinstance(part, BeamParticles):
+                return ReturnTable.compiled(part.compiled_between(self.beam, own))
+            return ReturnTable.compiled(*part.tables(self.beam, own))
+
+        inputs = [extinction, *part.parameters_of_table(), *self.beam.buffers()]
+        return self._kept_table(f"{kind} compiled", inputs, solved)
 
     def _table(
         self,
@@ -595,19 +608,33 @@ class ParticleReturns(Stage):
 
         if is_exporting() or any(value.requires_grad for value in inputs):
             return solved(extinction)
-        before, table = self._last_tables.get(part.kind, (None, None))
+        return self._kept_table(part.kind, inputs, solved, is_uniform=density is None and sizes is None)
+
+    def _kept_table(
+        self,
+        name: str,
+        inputs: Sequence[Tensor],
+        solved: Callable[[Tensor], ReturnTable],
+        *,
+        is_uniform: bool = True,
+    ) -> ReturnTable:
+        """The last table of a name, solved anew where something it depends on has changed.
+
+        Args:
+            name: of the table.
+            inputs: what it depends on; the first is the extinction.
+            solved: the table at an extinction.
+            is_uniform: no effect gives the samples of a batch an air of their own.
+        """
+        extinction = inputs[0]
+        before, table = self._last_tables.get(name, (None, None))
         if before is None or table is None or len(before) != len(inputs) or not all(map(_same, before, inputs)):
-            shared = (
-                density is None
-                and sizes is None
-                and all(value.numel() == 1 for value in inputs[1:])
-                and _all_alike(extinction)
-            )
+            shared = is_uniform and all(value.numel() == 1 for value in inputs[1:]) and _all_alike(extinction)
             with torch.no_grad():
                 # One table serves all samples that are in the same weather.
                 table = solved(extinction[:1] if shared else extinction)
             table = table.expanded(len(extinction)) if shared else table
-            self._last_tables[part.kind] = ([value.clone() for value in inputs], table)
+            self._last_tables[name] = ([value.clone() for value in inputs], table)
         return table
 
 

@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -165,6 +166,23 @@ class BeamParticles(nn.Module):
         per_m = self._per_m(beam, extinction_per_m, torch.arange(SIGNAL_NODES), density_scale, air, sizes)
         next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
         return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))
+
+    def compiled_between(self, beam: Beam, extinction_per_m: Tensor) -> Tensor:
+        """As ``between`` in air without effects, by compiled loops; to rounding."""
+        from torchweather.lidar.returns.compiled_table import Air, Sizes, count_between
+
+        single = [values.float() for values in self._seen(beam, extinction_per_m)]
+        full, diameter_m, area_m2 = (values.expand(len(extinction_per_m), -1, -1).contiguous() for values in single)
+        tails = self._tails(len(extinction_per_m)).float().contiguous().numpy()
+        signal = torch.exp(self.log_low + self.log_step * torch.arange(SIGNAL_NODES)).numpy()
+        log_step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
+        of_diameters = [np.float32(one) for one in (self.smallest_m, log_step, 0.25 * math.pi * self.pulse_length_m)]
+        between = torch.empty(len(extinction_per_m), SIGNAL_NODES, self.grid.nodes)
+        width_m = self.grid.quadrature_width_m.numpy()
+        for sample, own in enumerate(between):
+            air = Air(*(values[sample].numpy() for values in (full, diameter_m, area_m2)), width_m)
+            count_between(own.numpy(), air, Sizes(tails[sample], *of_diameters), signal)
+        return between
 
     def _per_m(
         self,

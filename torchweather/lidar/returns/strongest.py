@@ -23,6 +23,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -146,6 +147,25 @@ class ReturnTable:
         place = _place(cells, base.reshape(1, -1).expand(batch, -1), wanted.flatten(1), places, found)
         share = (where / end.clamp_min(FEW)).flatten(1)
         return cls(_signals_on_nodes(between), share, place, places, signals)
+
+    @classmethod
+    def compiled(cls, between: Tensor, places_of: Tensor | None = None) -> ReturnTable:
+        """As ``of``, by compiled loops; to rounding."""
+        from torchweather.lidar.returns.compiled_table import place_on_nodes, signals_on_nodes
+
+        between = between.contiguous()
+        where = between if places_of is None else places_of.contiguous()
+        batch, signals, places = between.shape
+        v = torch.arange(PLACE_NODES) / (PLACE_NODES - 1)
+        shares = (1.0 - (1.0 - v * v).square()).clamp_max(LAST_PLACE).numpy()
+        step = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
+        arrivals = torch.exp(math.log(ARRIVAL_LOW) + step * torch.arange(ARRIVAL_NODES)).numpy()
+        signal, share = torch.empty(batch, places, ARRIVAL_NODES), torch.empty_like(where)
+        place = torch.empty(batch, signals, PLACE_NODES)
+        for sample in range(batch):
+            signals_on_nodes(signal[sample].numpy(), between[sample].numpy(), arrivals, np.float32(FAINTER))
+            place_on_nodes(share[sample].numpy(), place[sample].numpy(), where[sample].numpy(), shares)
+        return cls(signal.flatten(1), share.flatten(1), place.flatten(1), places, signals)
 
     def expanded(self, batch: int) -> ReturnTable:
         """A table of one sample for so many, without a copy."""
