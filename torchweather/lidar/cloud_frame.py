@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchweather.core.compiled import uses_compiled
 from torchweather.lidar.pose import Rotation
 from torchweather.lidar.sensor import Lidar
 
@@ -73,6 +74,8 @@ def points_in_cloud_frame(
     """
     if not is_apart(lidar) and height_m is None:
         return values
+    if not is_apart(lidar) and height_m is not None and _are_plain(values, local, given, height_m):
+        return _raised(values, local, given, height_m)
     x, y, z = values[..., :3].unbind(-1)
     start_x, start_y, start_z = local[..., :3].unbind(-1)
     untouched = (x == start_x) & (y == start_y) & (z == start_z)
@@ -111,6 +114,29 @@ def holds_return(points: Tensor) -> Tensor:
     """Rows of a cloud ``(..., N, 3 or more)`` that do not lie at the origin, ``(..., N)`` bool."""
     x, y, z = points[..., :3].unbind(-1)
     return (x != 0) | (y != 0) | (z != 0)
+
+
+def _are_plain(*values: Tensor) -> bool:
+    """True where compiled loops may work on all of them: single precision on the processor, without gradients."""
+    if _in_graph() or not uses_compiled():
+        return False
+    learns = torch.is_grad_enabled()
+    return all(
+        one.device.type == "cpu" and one.dtype == torch.float32 and not (learns and one.requires_grad) for one in values
+    )
+
+
+def _raised(values: Tensor, local: Tensor, given: Tensor, height_m: Tensor) -> Tensor:
+    """`points_in_cloud_frame` of a sensor at the cloud's origin, by compiled loops: the same bits."""
+    from torchweather.lidar.compiled_rows import raise_rows
+
+    out = torch.empty(values.shape)
+    flat = [one.reshape(-1, *one.shape[-2:]) for one in (out, values, local, given)]
+    heights = height_m.expand(values.shape[:-1]).reshape(len(flat[0]), -1)
+    for sample, height in enumerate(heights):
+        own = [one[sample].detach().contiguous().numpy() for one in flat]
+        raise_rows(*own, height.detach().contiguous().numpy())
+    return out
 
 
 def _in_graph() -> bool:

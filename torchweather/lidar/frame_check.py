@@ -67,7 +67,7 @@ def far_note(points: Tensor, sensor: Lidar) -> str:
     local = points_in_sensor_frame(sampled, sensor)
     range_m = local.norm(dim=-1)
     near = int(((range_m > 0) & (range_m <= min(_NEAREST_M, _BEYOND * sensor.max_range_m))).sum())
-    if 2 * near > len(range_m):  # as of nearly every cloud: most returns are near
+    if 2 * near > int((range_m > 0).sum()):  # as of nearly every cloud: most returns are near
         return ""
     local, range_m = local[range_m > 0], range_m[range_m > 0]
     if len(range_m) < 2:  # one point is no evidence
