@@ -241,3 +241,44 @@ def test_rows_are_raised_to_the_bits_of_torch(more: int, monkeypatch: pytest.Mon
     values[:, 4::5, :3] = 0.0
     fast, slow = both(monkeypatch, lambda: points_in_cloud_frame(values, local, given, sensor_of(), height_m))
     assert torch.equal(fast, slow)
+
+
+RANGES = {
+    "rain": (tw.Rain(tw.LogUniform(1.0, 50.0)), tw.Rain(7.0)),
+    "snow": (tw.Snow(tw.LogUniform(0.2, 3.0), temperature_c=-5.0), tw.Snow(0.7, temperature_c=-5.0)),
+    "fog": (tw.Fog(mor_m=tw.LogUniform(30.0, 500.0)), tw.Fog(mor_m=90.0)),
+    "both": (
+        tw.Mixture(tw.Rain(tw.Uniform(1.0, 9.0)), tw.Fog(mor_m=200.0)),
+        tw.Mixture(tw.Rain(3.0), tw.Fog(mor_m=70.0)),
+    ),
+    "batch": (tw.Rain(tw.LogUniform(1.0, 50.0)), tw.Rain(torch.tensor([7.0, 2.0]))),
+}
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("name", RANGES)
+def test_a_transform_at_another_intensity_is_the_one_built_for_it(name: str, mode: str) -> None:
+    drawn, weather = RANGES[name]
+    sensor = sensor_of(return_mode=mode)
+    own = tw.LidarWeather(drawn, sensor)
+    before = {key: value.clone() for key, value in own.state_dict().items()}
+    found, built = own._built_from(weather, {}, own.own_sensor()), tw.LidarWeather(weather, sensor)
+    assert found.chain.stages["to_energy"] is own.chain.stages["to_energy"]  # the short way
+    assert found.weather == weather or name == "batch"
+    assert found.chain.to_dict() == built.chain.to_dict()
+    assert found.state_dict().keys() == built.state_dict().keys()
+    assert all(torch.equal(value, built.state_dict()[key]) for key, value in found.state_dict().items())
+    assert repr(found) == repr(built)  # with the number of echoes
+    assert not found.as_built.changed(found.chain)
+    assert not own.as_built.changed(own.chain)
+    assert all(torch.equal(value, before[key]) for key, value in own.state_dict().items())
+
+
+@pytest.mark.parametrize(
+    "weather", [tw.Snow(1.0, temperature_c=-9.0), tw.Rain(1.0), tw.Mixture(tw.Snow(1.0), tw.Fog())]
+)
+def test_another_weather_is_built_anew(weather: Any) -> None:
+    own = tw.LidarWeather(tw.Snow(tw.LogUniform(0.2, 3.0)), sensor_of())
+    found, built = own._built_from(weather, {}, own.own_sensor()), tw.LidarWeather(weather, sensor_of())
+    assert found.chain.stages["to_energy"] is not own.chain.stages["to_energy"]
+    assert found.chain.to_dict() == built.chain.to_dict()

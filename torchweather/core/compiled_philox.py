@@ -15,7 +15,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from torchweather.core.compiled import jit
-from torchweather.core.device_normals import MULTIPLIERS, ROUNDS, WEYL
+from torchweather.core.philox import MULTIPLIERS, ROUNDS, WEYL
 
 __all__ = ["NORMALS_A_BLOCK", "draw_normals", "draw_uniforms", "philox_words"]
 

@@ -134,8 +134,8 @@ def _raised(values: Tensor, local: Tensor, given: Tensor, height_m: Tensor) -> T
     flat = [one.reshape(-1, *one.shape[-2:]) for one in (out, values, local, given)]
     heights = height_m.expand(values.shape[:-1]).reshape(len(flat[0]), -1)
     for sample, height in enumerate(heights):
-        own = [one[sample].detach().contiguous().numpy() for one in flat]
-        raise_rows(*own, height.detach().contiguous().numpy())
+        raised, moved, start, came = (one[sample].detach().contiguous().numpy() for one in flat)
+        raise_rows(raised, moved, start, came, height.detach().contiguous().numpy())
     return out
 
 

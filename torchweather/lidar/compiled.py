@@ -143,7 +143,7 @@ def weathered(chain: Chain, state: LidarState, noise: Mapping[str, Tensor]) -> L
             for name, part in returns.kinds.items()
         ]
         parts += [_nothing()] * (3 - len(parts))
-        own = partial(weather_beams, out, cloud, drawn, *parts, receiver)
+        own = partial(weather_beams, out, cloud, drawn, parts[0], parts[1], parts[2], receiver)
         tasks += [partial(own, first, last) for first, last in pairwise(edges)]
     side_by_side(tasks)
     return state.changed(
@@ -178,7 +178,7 @@ def _receiver(energy: ToEnergy, returns: ParticleReturns, to_points: ToPoints) -
     from torchweather.lidar.compiled_beams import UNITS, Receiver
 
     beam, sensor = energy.beam, to_points.sensor
-    single = {
+    single: dict[str, float | Tensor] = {
         "threshold": beam.threshold,
         "mean_margin": DB * energy.margin_db,
         "near_start_m": beam.near_start_m,
@@ -196,7 +196,7 @@ def _receiver(energy: ToEnergy, returns: ParticleReturns, to_points: ToPoints) -
         "range_noise_m": to_points.range_noise_m,
         "range_step_m": sensor.range_resolution_m,
     }
-    values = {name: np.float32(value) for name, value in single.items()}
+    values = {name: np.float32(float(value)) for name, value in single.items()}
     return Receiver(**values, unit=UNITS[sensor.intensity_unit], mode=MODES.index(sensor.return_mode))
 
 

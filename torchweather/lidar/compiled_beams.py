@@ -171,14 +171,14 @@ class Echoes(NamedTuple):
 
     Args:
         range_m, signal, strength: ``(beams, echoes)``; strength is 0 of echoes that are not seen.
-        count: ``(beams,)`` echoes of each.
+        number: ``(beams,)`` echoes of each.
         chosen: ``(beams, 2)`` those that are reported, -1 for none.
     """
 
     range_m: Array
     signal: Array
     strength: Array
-    count: NDArray[np.int32]
+    number: NDArray[np.int32]
     chosen: NDArray[np.int32]
 
 
@@ -231,7 +231,7 @@ def _add_objects(
     """Begin the lists of a block of beams with their objects, as ``ToEnergy`` and ``Extinction``."""
     twice = np.float32(-2) * cloud.extinction_per_m
     points, range_m, zero = cloud.points, cloud.range_m, cloud.zero_intensity
-    ranges, signals, counts = echoes.range_m, echoes.signal, echoes.count
+    ranges, signals, counts = echoes.range_m, echoes.signal, echoes.number
     for at in range(counts.size):
         beam = first + at
         clear_m, signal = range_m[beam], ZERO
@@ -248,7 +248,7 @@ def _add_particles(echoes: Echoes, reach_m: Array, faintest: np.float32, part: P
     most = part.arrival.shape[0]
     last_node, last_arrival = np.float32(part.nodes - 1), np.float32(part.arrivals - 1)
     arrivals, places, row_of, share_of, place_of = part.arrival, part.at, part.signal, part.share, part.place
-    ranges, signals, counts = echoes.range_m, echoes.signal, echoes.count
+    ranges, signals, counts = echoes.range_m, echoes.signal, echoes.number
     for at in range(counts.size if most > 0 else 0):
         beam = first + at
         far_m = reach_m[beam]
@@ -327,7 +327,7 @@ def _end(range_m: Array, strength: Array, at: int, count: int, apart_m: np.float
 def _choose(echoes: Echoes, clear_m: Array, receiver: Receiver, first: int) -> None:
     """Choose the reported echoes of a block of beams, as ``Detection``."""
     strength, range_m = echoes.strength, echoes.range_m
-    signals, counts, chosen = echoes.signal, echoes.count, echoes.chosen
+    signals, counts, chosen = echoes.signal, echoes.number, echoes.chosen
     for at in range(counts.size):
         count = counts[at]
         for echo in range(count):
@@ -395,12 +395,12 @@ def _report(
     out: Out, points: Array, echoes: Echoes, noise: Array, cloud: Cloud, receiver: Receiver, number: int, first: int
 ) -> None:
     """Write one of the reported echoes of a block of beams and its points, as ``ToPoints``."""
-    given, is_integral = cloud.points, cloud.integral > ZERO
+    given, is_integral = cloud.points, bool(cloud.integral > ZERO)
     columns = given.shape[1]
     cloud_m, direction, borrowed, clear_signal = cloud.range_m, cloud.direction, cloud.borrowed, out.clear_signal
     kinds, ranges, signals = out.kind, out.range_m, out.signal
     chosen, echo_m, echo_signal = echoes.chosen, echoes.range_m, echoes.signal
-    for at in range(echoes.count.size):
+    for at in range(echoes.number.size):
         beam, echo = first + at, chosen[at, number]
         label, range_m, signal, clear_m = LOST, ZERO, ZERO, cloud_m[beam]
         if echo >= 0:

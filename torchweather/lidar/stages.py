@@ -36,6 +36,7 @@ from torchweather.lidar.returns.strongest import ReturnTable, strongest_before
 from torchweather.lidar.sensor import CALIBRATION_REFLECTIVITY, Lidar
 from torchweather.lidar.state import LidarState
 from torchweather.physics import Q_EFF, InterpolationTable, extinction_from_mor, extinction_per_m
+from torchweather.pipeline.module_copy import with_buffers
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
@@ -211,6 +212,10 @@ class ToEnergy(SensorStage):
         )
 
 
+def _single(intensity: Any) -> Tensor:
+    return torch.as_tensor(intensity, dtype=torch.float32)
+
+
 @lru_cache(maxsize=64)
 def _falling_table(weather: Rain | Snow, wavelength_nm: float, published: bool) -> InterpolationTable:
     """Full extinction of rain or snow, 1/m, over the rate (the weather's own counts for nothing)."""
@@ -240,6 +245,12 @@ class _PartExtinction(nn.Module):
         check_arguments("Extinction(q_eff: float)", q_eff)
         self.register_buffer("q_eff", torch.tensor(float(q_eff)))
         self.register_buffer(weather.intensity_name, torch.as_tensor(weather.intensity, dtype=torch.float32))
+
+    def at_intensity(self, weather: Weather) -> _PartExtinction:
+        """The same for a weather that differs by its intensity alone; tables are shared."""
+        found = with_buffers(self, **{weather.intensity_name: _single(weather.intensity)})
+        found.weather = weather
+        return found
 
     def forward(self) -> Tensor:
         """1/m, of the intensity's shape flattened."""
@@ -318,6 +329,13 @@ class Extinction(Stage):
         """Constructor arguments."""
         weathers = [part.weather.to_dict() for part in self.parts.values()]  # type: ignore[union-attr,operator]
         return {"weathers": weathers, "sensor": _config(self.sensor), **self.options}
+
+    def at_intensity(self, weathers: Sequence[Weather]) -> Extinction:
+        """The same stage for weathers that differ by their intensities alone; tables are shared."""
+        found = with_buffers(self)
+        parts = {one.kind: self.parts[one.kind].at_intensity(one) for one in weathers}  # type: ignore[operator]
+        found.parts = nn.ModuleDict({kind: parts[kind] for kind in self.parts})
+        return found
 
     def extinction_per_m(self, batch: int) -> Tensor:
         """Effective extinction of all weather together, 1/m, ``(B,)``."""
@@ -431,6 +449,14 @@ class ParticleReturns(Stage):
                 )
             self.parts[weather.kind] = part
         self._last_tables: dict[str, tuple[list[Tensor], ReturnTable]] = {}
+
+    def at_intensity(self, weathers: Sequence[Weather]) -> ParticleReturns:
+        """The same stage for weathers that differ by their intensities alone; tables are shared."""
+        found = with_buffers(self)
+        parts = {one.kind: self.parts[one.kind].at_intensity(one, self.beam) for one in weathers}  # type: ignore[operator]
+        found.parts = nn.ModuleDict({kind: parts[kind] for kind in self.parts})
+        found._last_tables = {}
+        return found
 
     @property
     def kinds(self) -> dict[str, BeamParticles | SoftReturn]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -41,6 +41,7 @@ from torchweather.pipeline.as_built import AsBuilt
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.conditions import with_conditions
 from torchweather.pipeline.effect import Effect
+from torchweather.pipeline.module_copy import with_buffers
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.pipeline.sensor_transform import WeatherTransform
 from torchweather.pipeline.tiling import is_exporting
@@ -52,7 +53,8 @@ LOST_AS = ("zero", "nan", "drop")
 BEAM_ENDS = ("scene", "max_range")
 BEAMS_AT_ONCE = 1 << 19  # arrays of 2 MB
 # Stages to which an echo below the threshold is none; an effect may lower the threshold, or look at all echoes.
-LOOK_AT_DETECTED = {PatchyAir, ToEnergy, Extinction, ParticleReturns, Detection, ToPoints, RadialSpeed}
+PLAIN = {ToEnergy, Extinction, ParticleReturns, Detection, ToPoints}
+LOOK_AT_DETECTED = PLAIN | {PatchyAir, RadialSpeed}
 Cloud = Tensor | list[Tensor]
 
 
@@ -318,6 +320,37 @@ class LidarWeather(WeatherTransform):
             if isinstance(stage, kind):
                 return stage
         raise InputValueError(f"{type(self).__name__}: the chain has no {kind.__name__} stage.")
+
+    def _built_from(self, weather: Weather, drawn: Mapping[str, Any], sensor: Any) -> Self:
+        """The transform for a weather that all samples get; a plain chain renews what depends on the intensity."""
+        if drawn or sensor is not self.sensor or not self._differs_by_intensity(weather):
+            return super()._built_from(weather, drawn, sensor)
+        found = with_buffers(self)
+        found.weather, found.p, found.options = weather, 1.0, replace(self.options, p=1.0)
+        found._find_beams = BeamFinder()
+        stages = {
+            name: stage.at_intensity(weather.parts) if isinstance(stage, (Extinction, ParticleReturns)) else stage
+            for name, stage in self.chain.stages.items()
+        }
+        found.chain = Chain(stages)
+        found.as_built = AsBuilt.of(found.chain)
+        return found
+
+    def _differs_by_intensity(self, weather: Weather) -> bool:
+        """True where a weather differs from this transform's by intensities alone, and the chain is the plain one."""
+        own, some = self.weather.densest(), next(self.buffers())
+        if some.device.type != "cpu" or some.dtype != torch.float32:
+            return False
+        if not isinstance(self.options, LidarOptions) or self.options.variant is not None:
+            return False
+        if {type(stage) for stage in self.chain.stages.values()} != PLAIN:
+            return False
+        return (
+            not own.conditions
+            and not weather.conditions
+            and len(own.parts) == len(weather.parts)
+            and all(_are_alike(*pair) for pair in zip(own.parts, weather.parts, strict=True))
+        )
 
     def extra_repr(self) -> str:
         """The path that weathers clouds on the processor."""
@@ -688,6 +721,16 @@ class LidarWeather(WeatherTransform):
             return values.reshape(*batch, *values.shape[1:])
         kept = [value[there] for value, there in zip(values, kind != PointKind.LOST, strict=True)]
         return kept if batch else kept[0]
+
+
+def _are_alike(one: Weather, other: Weather) -> bool:
+    """True where two weathers are of one kind and differ by their intensities at most; arrays count as different."""
+    if type(one) is not type(other):
+        return False
+    names = [field.name for field in fields(one) if field.name != one.intensity_name]  # type: ignore[arg-type]
+    pairs = [(getattr(one, name), getattr(other, name)) for name in names]
+    plain = (str, bool, int, float, tuple, type(None))
+    return all(a is b or (isinstance(a, plain) and isinstance(b, plain) and a == b) for a, b in pairs)
 
 
 def _few_threads(points: Tensor) -> AbstractContextManager[None]:

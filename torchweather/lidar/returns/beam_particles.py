@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from torchweather.atmosphere.density_field import BanksAlongBeams, of_beams
 from torchweather.atmosphere.weather import Rain, Snow
+from torchweather.core.compiled import uses_compiled
 from torchweather.core.errors import InputValueError, check_one_of, check_positive
 from torchweather.core.random import Variate
 from torchweather.lidar.beam import Beam, RangeGrid
@@ -32,6 +33,7 @@ from torchweather.physics import (
     rain_q_back,
     water_refractive_index,
 )
+from torchweather.pipeline.module_copy import with_buffers
 from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["SIZE_KNOTS_MM", "BeamParticles", "RATE_HIGH_MM_PER_H", "RATE_LOW_MM_PER_H", "RATE_NODES"]
@@ -117,7 +119,21 @@ class BeamParticles(nn.Module):
         self.smallest_m, self.largest_m = counted.smallest_m, counted.largest_m
         self.tail = copy.deepcopy(counted.tail)
         self._set_signals(sensor)
-        self.echoes = 1 if sensor.return_mode == "strongest" else self._echoes(Beam(sensor))
+        self.is_strongest = sensor.return_mode == "strongest"
+        self.echoes = 1 if self.is_strongest else self._echoes(Beam(sensor))
+
+    def at_intensity(self, weather: Rain | Snow, beam: Beam) -> BeamParticles:
+        """The same for a weather that differs by its rate alone; tables are shared.
+
+        Args:
+            weather: of the kind.
+            beam: the sensor's.
+        """
+        found = with_buffers(self, rate_mm_per_h=torch.as_tensor(weather.rate_mm_per_h, dtype=torch.float32))
+        found.weather = weather
+        if not self.is_strongest:
+            found.echoes = found._echoes(beam)
+        return found
 
     def _set_signals(self, sensor: Lidar) -> None:
         """Nodes of the signal, uniform in its logarithm, from far below the threshold to the brightest particle."""
@@ -167,20 +183,26 @@ class BeamParticles(nn.Module):
         next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
         return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))
 
-    def compiled_between(self, beam: Beam, extinction_per_m: Tensor) -> Tensor:
-        """As ``between`` in air without effects, by compiled loops; to rounding."""
+    def compiled_between(self, beam: Beam, extinction_per_m: Tensor, nodes: Tensor | None = None) -> Tensor:
+        """As ``between`` in air without effects, by compiled loops; to rounding.
+
+        Args:
+            beam, extinction_per_m: as of ``between``.
+            nodes: some nodes of the signal, in order; ``None`` is all of them.
+        """
         from torchweather.lidar.returns.compiled_table import Air, Sizes, count_between
 
         single = [values.float() for values in self._seen(beam, extinction_per_m)]
         full, diameter_m, area_m2 = (values.expand(len(extinction_per_m), -1, -1).contiguous() for values in single)
         tails = self._tails(len(extinction_per_m)).float().contiguous().numpy()
-        signal = torch.exp(self.log_low + self.log_step * torch.arange(SIGNAL_NODES)).numpy()
+        nodes = torch.arange(SIGNAL_NODES) if nodes is None else nodes
+        signal = torch.exp(self.log_low + self.log_step * nodes).numpy()
         log_step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
         of_diameters = [np.float32(one) for one in (self.smallest_m, log_step, 0.25 * math.pi * self.pulse_length_m)]
-        between = torch.empty(len(extinction_per_m), SIGNAL_NODES, self.grid.nodes)
+        between = torch.empty(len(extinction_per_m), len(nodes), self.grid.nodes)
         width_m = self.grid.quadrature_width_m.numpy()
         for sample, own in enumerate(between):
-            air = Air(*(values[sample].numpy() for values in (full, diameter_m, area_m2)), width_m)
+            air = Air(full[sample].numpy(), diameter_m[sample].numpy(), area_m2[sample].numpy(), width_m)
             count_between(own.numpy(), air, Sizes(tails[sample], *of_diameters), signal)
         return between
 
@@ -374,8 +396,12 @@ class BeamParticles(nn.Module):
             row = ((torch.log(beam.threshold) - self.log_low) / self.log_step).clamp(0.0, SIGNAL_NODES - 1)
             node = row.floor().clamp_max(SIGNAL_NODES - 2)
             clear = torch.zeros(self.rate_mm_per_h.numel())
-            per_m = self._per_m(beam, clear, torch.stack([node, node + 1.0]))
-            logs = ((per_m * self.grid.quadrature_width_m).sum((-2, -1)) + NOTHING).log()
+            nodes = torch.stack([node, node + 1.0])
+            if uses_compiled() and not self.published and not is_exporting():
+                above = self.compiled_between(beam, clear, nodes)[..., -1].flip(1).cumsum(1).flip(1)
+            else:
+                above = (self._per_m(beam, clear, nodes) * self.grid.quadrature_width_m).sum((-2, -1))
+            logs = (above + NOTHING).log()
             mean = float((torch.lerp(logs[:, 0], logs[:, 1], row - node).exp() - NOTHING).max())
         term = share = math.exp(-mean)
         for number in range(1, MOST_PARTICLES):

@@ -50,6 +50,7 @@ from torchweather.core.random import Variate
 from torchweather.lidar.beam import Beam, RangeGrid
 from torchweather.lidar.returns.strongest import expected_number, table_at
 from torchweather.lidar.sensor import Lidar
+from torchweather.pipeline.module_copy import with_buffers
 
 __all__ = ["SoftReturn"]
 
@@ -129,6 +130,17 @@ class SoftReturn(nn.Module):
         self.register_buffer("pulse_place", torch.from_numpy(place).float(), persistent=False)
         self.register_buffer("pulse_weight", torch.from_numpy(weight).float(), persistent=False)
         self._set_readings(sensor)
+
+    def at_intensity(self, weather: Fog, beam: Beam) -> SoftReturn:
+        """The same for a fog that differs by its visibility alone; tables are shared.
+
+        Args:
+            weather: the fog.
+            beam: of particles that are counted; not looked at.
+        """
+        found = with_buffers(self, mor_m=torch.as_tensor(weather.mor_m, dtype=torch.float32))
+        found.weather = weather
+        return found
 
     def _set_readings(self, sensor: Lidar) -> None:
         """Nodes of the reading, uniform in its square root, which has the same photon noise everywhere."""
