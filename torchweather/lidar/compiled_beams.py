@@ -284,7 +284,7 @@ def _add_particles(echoes: Echoes, reach_m: Array, faintest: np.float32, part: P
             place = _node(v, part.places)
             index = node * part.places + place
             found = min(_between(place_of[index], place_of[index + 1], v - np.float32(place)), position)
-            grown = np.float32(np.expm1(found * part.stretch))
+            grown = exp_of(found * part.stretch) - ONE
             ranges[at, count] = min(part.near_m + part.scale_m * grown, far_m)
             signals[at, count] = signal
             count += 1
