@@ -6,14 +6,12 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 import torchweather as tw
 from torchweather.core import compiled as switch
-from torchweather.core.random import Variate, draw_variates
 from torchweather.lidar import compiled
 from torchweather.lidar.cloud_frame import holds_return, points_in_cloud_frame
 
@@ -212,21 +210,6 @@ def test_the_switch_and_what_is_installed_choose_the_path(monkeypatch: pytest.Mo
     monkeypatch.setenv(switch.SWITCH, "1")
     with pytest.raises(ImportError):
         transform(points, seed=1)
-
-
-@pytest.mark.parametrize("number", [1, 7, 8, 2048, 2049, 40_001])
-def test_compiled_uniforms_are_those_of_numpy(number: int) -> None:
-    from torchweather.core.compiled_philox import draw_uniforms
-
-    key, found = np.array([7, 2**64 - 5], np.uint64), np.empty(number, np.float32)
-    draw_uniforms(found, np.empty(1024, np.uint64), key)
-    np.testing.assert_array_equal(found, np.random.Generator(np.random.Philox(key=key)).random(number, np.float32))
-
-
-def test_large_draws_are_those_of_small_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    variates = [Variate("near", "uniform", (40_000,)), Variate("far", "uniform", (2, 20_000))]
-    fast, slow = both(monkeypatch, lambda: draw_variates([3, 4], "stage", variates, {}))
-    assert all(np.array_equal(fast[name], slow[name]) for name in slow)
 
 
 @pytest.mark.parametrize("more", [0, 3], ids=["given", "completed"])

@@ -15,15 +15,13 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from torchweather.core.compiled import jit
-from torchweather.core.philox import MULTIPLIERS, ROUNDS, WEYL
+from torchweather.core.device_normals import MULTIPLIERS, ROUNDS, WEYL
 
-__all__ = ["NORMALS_A_BLOCK", "draw_normals", "draw_uniforms", "philox_words"]
+__all__ = ["NORMALS_A_BLOCK", "draw_normals", "philox_words"]
 
 Words = NDArray[np.uint64]
 
 NORMALS_A_BLOCK = 16  # 4 words of 64 bits of a counter, 16 bits a normal
-NUMBERS_A_BLOCK = 8  # 32 bits a uniform number
-STEP_24 = np.float32(2.0**-24)
 MULTIPLIER_0, MULTIPLIER_1 = (np.uint64(one) for one in MULTIPLIERS)
 WEYL_0, WEYL_1 = (np.uint64(one) for one in WEYL)
 
@@ -74,19 +72,3 @@ def draw_normals(out: NDArray[np.float32], words: Words, key: Words, table: NDAr
     lanes = some.view(np.uint16)[first - NORMALS_A_BLOCK * block :]
     for at in range(out.size):
         out[at] = table[np.uint32(lanes[at])]
-
-
-@jit
-def draw_uniforms(out: NDArray[np.float32], words: Words, key: Words) -> None:
-    """Write uniform numbers of a stream, those of numpy in single precision: 24 bits of each half of a word.
-
-    Args:
-        out: ``(n,)``, written.
-        words: spare, a multiple of 4.
-        key: ``(2,)`` of the stream.
-    """
-    halves = words.view(np.uint32)
-    for first in range(0, out.size, halves.size):
-        philox_words(words, key[0], key[1], first // NUMBERS_A_BLOCK)
-        for at in range(min(halves.size, out.size - first)):
-            out[first + at] = np.float32(np.int32(halves[at] >> np.uint32(8))) * STEP_24

@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.core.compiled import uses_compiled
 from torchweather.core.exceptions import InputTypeError, InputValueError
 
 # torch is imported where it is needed: the noise of an exported graph is drawn without it.
@@ -57,9 +56,6 @@ ABSENT = 2.0
 
 TABLE_SIZE = 1 << 16  # of the tabulated normal law
 NORMALS_AT_ONCE = 1 << 16  # whose bits stay in the cache; a multiple of 4
-
-COMPILED_FROM = 1 << 15  # uniform numbers, that compiled loops draw in a third of the time, bit for bit
-WORDS_AT_ONCE = 1 << 10  # of the stream, that stay in the cache
 
 # Below this many numbers a thread costs more than it saves.
 THREADED_FROM = 1 << 19
@@ -207,11 +203,6 @@ def _hashed(text: str) -> int:
 
 
 def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], out: NDArray[np.float32]) -> None:
-    if variate.law == "uniform" and out.size >= COMPILED_FROM and uses_compiled():
-        from torchweather.core.compiled_philox import draw_uniforms
-
-        draw_uniforms(out.reshape(-1), np.empty(WORDS_AT_ONCE, np.uint64), _key(seed, stream))
-        return
     generator = keyed_stream(seed, stream)
     if variate.law == "uniform":
         generator.random(out=out, dtype=np.float32)
