@@ -9,11 +9,19 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
+from torchweather.core.compiled import SWITCH
 from torchweather.lidar.returns.strongest import ARRIVAL_HIGH, ARRIVAL_LOW, ARRIVAL_NODES, ReturnTable, _signal
 from torchweather.lidar.stages import Detection, ParticleReturns, _Echoes
 from torchweather.lidar.state import LidarState
 from torchweather.sensors import RETURN_MODES, Lidar
 from torchweather.transforms import LidarWeather
+
+
+@pytest.fixture(autouse=True)
+def _by_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled loops equal the chain to rounding only."""
+    monkeypatch.setenv(SWITCH, "0")
+
 
 WEATHERS: dict[str, Weather] = {
     "rain": Rain(40.0),
