@@ -11,7 +11,8 @@ from typing import Any
 from markupsafe import Markup
 
 from torchweather.atmosphere.weather import Weather
-from torchweather.evaluation.validation.comparison import FAMILY_LEVEL, Comparison
+from torchweather.evaluation.validation.comparison import FAMILY_LEVEL, UNDECIDED, Comparison
+from torchweather.evaluation.validation.power import FACTOR, FURTHER, POWER
 from torchweather.evaluation.validation.run import ConditionResult, Validation
 from torchweather.evaluation.validation.severity import TrendComparison, knob_value
 from torchweather.gap.study.splits import severity
@@ -102,6 +103,7 @@ def validation_page(study: Study, validation: Validation, summary: Mapping[str, 
             parts.Facts(facts),
         ],
         sections=[
+            *_power(validation),
             Section("Side by side", link_pictures(study, validation) if is_link else side_by_side(study, validation)),
             _scores(groups, names, validation, is_link=is_link),
             *_trends(validation, named=len(study.scenes) > 1 or is_link),
@@ -148,6 +150,45 @@ def _groups(study: Study, validation: Validation) -> list[Group]:
     return groups
 
 
+# ---- power -----------------------------------------------------------------------------------------------------------
+
+
+def _power(validation: Validation) -> list[Section]:
+    """The smallest change that each condition would have shown."""
+    if all(each.smallest_change is None for each in validation.conditions):
+        return []
+    text = f"""The smallest factors of rate or visibility that the same number of frames would have flagged with
+        {100 * POWER:.0f} % power, by simulation. A comparison agrees only where a factor of {FACTOR:g} either way would
+        have been flagged, and is excluded. Otherwise it is not decided."""
+    rows = []
+    for result in validation.conditions:
+        if (changes := result.smallest_change) is None:
+            continue
+        known = [(score, score.smallest_change) for score in result.scores]
+        best = min((each for each in known if each[1]), key=lambda each: max(each[1][1], 1.0 / (each[1][0] or 1e-9)))
+        shown = math.isfinite(changes[1]) or changes[0] > 0
+        rows.append(
+            (
+                result.label,
+                f"{result.frames}",
+                result.verdict,
+                *_factors(changes),
+                _title(best[0].name) if shown else NO_VALUE,
+            )
+        )
+    heads: parts.Heads = ["Condition", "Frames", parts.Column("Verdict", "left"), "Less, factor", "More, factor"]
+    heads.append(parts.Column("Most sensitive score", "left"))
+    return [
+        Section("What these frames could have shown", [parts.Paragraph(text), parts.Table(heads, rows)], id="power")
+    ]
+
+
+def _factors(changes: tuple[float, float]) -> tuple[str, str]:
+    below, above = changes
+    low = NO_VALUE if math.isnan(below) else f"× {below:.2f}" if below > 0 else f"below {1 / FURTHER:g}"
+    return low, NO_VALUE if math.isnan(above) else f"× {above:.2f}" if math.isfinite(above) else f"above {FURTHER:g}"
+
+
 # ---- scores ----------------------------------------------------------------------------------------------------------
 
 
@@ -181,13 +222,16 @@ def _scores(groups: Sequence[Group], names: Sequence[str], validation: Validatio
         "pale": "they agree, and neither is distinguishable from clear air",
         "differs": "they differ",
         "pale ": "cannot be judged",
+        " ": "not decided",
     }
+    shown = {"pale ": NO_VALUE, " ": "(+0.0)"}
     key = Markup(" &ensp; ").join(
-        parts.markup('<span class="mark {}">{}</span> {}', look, NO_VALUE if look == "pale " else "+0.0", text)
+        parts.markup('<span class="mark {}">{}</span> {}', look, shown.get(look, "+0.0"), text)
         for look, text in cells.items()
     )
     fine = """Means over frames ± standard error. Gap over effect: the gap as a share of what the measured weather did
-        to the score, its distance from the floor."""
+        to the score, its distance from the floor. Flagged below and above: smallest factors of rate or visibility that
+        this score would have shown."""
     return Section(
         "Scores against clear air",
         [
@@ -233,6 +277,8 @@ def _cell(cell: Comparison) -> parts.Cell:
         return parts.Cell(text if text != NO_VALUE else "∞", look="differs")
     if cell.verdict == "unjudged":
         return parts.Cell(NO_VALUE, look="pale")
+    if cell.verdict == UNDECIDED:
+        return parts.Cell(f"({text})", look="pale" if at_floor else "")
     return parts.Cell(text, look="pale" if at_floor else "")
 
 
@@ -251,7 +297,8 @@ def _numbers(group: Group, names: Sequence[str]) -> parts.Table:
                     NO_VALUE if math.isnan(share) else f"{100 * share:+.0f}\u202f%".replace("-", "−"),
                 )
             )
-    heads = ["Measured", "Simulated", "Floor", "Gap", "Gap over effect"]
+            rows[-1] = (*rows[-1], *(_factors(cell.smallest_change) if cell.smallest_change else (NO_VALUE, NO_VALUE)))
+    heads = ["Measured", "Simulated", "Floor", "Gap", "Gap over effect", "Flagged below", "Flagged above"]
     return parts.Table([group.axis, parts.Column("Score", "left"), *heads], rows)
 
 
@@ -319,8 +366,8 @@ def _distributions(validation: Validation, *, is_link: bool) -> Section:
 def _how_to_read(validation: Validation, summary: Mapping[str, Any], *, is_link: bool) -> Section:
     differ = f"""Two means differ where their gap exceeds what chance does: Student's t with the scatter of the
         measured, the simulated and the clear frames, at a level that leaves {100 * FAMILY_LEVEL:g} % for one false
-        difference or more on the whole page. Few frames make that bound wide: agreement then means that these frames
-        cannot tell. Frames count as independent; those that follow each other within seconds are not, and then
+        difference or more on the whole page. Few frames make that bound wide; then the power is low, and nothing is
+        decided. Frames count as independent; those that follow each other within seconds are not, and then
         differences are called too readily. The uncertainty of the weather record is not in the scatter."""
     why = parts.markup("""The page shows what disagrees, not why: <code>torchweather gap</code> looks for the effect
         that is missing.""")

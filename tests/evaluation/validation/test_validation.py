@@ -157,7 +157,7 @@ def test_two_runs_of_one_model_agree_beyond_the_floor(
     monkeypatch.setattr(embedded, "WEATHERS", (Fog(mor_m=200.0), Fog(mor_m=50.0), Snow(2.0)))
     found = validate(embedded_study(kind, clear_frames=3, frames=3), seed=4, names=names)
     # 6 comparisons of this seed; a false alarm among them has a chance of 5 %, and this seed has none.
-    assert found.counts() == {"agree": 6, "differ": 0, "unjudged": 0, "agree_at_floor": 0}
+    assert found.counts() == {"agree": 6, "differ": 0, "not_decided": 0, "unjudged": 0, "agree_at_floor": 0}
     assert {score.side_of_floor("measured") for each in found.conditions for score in each.scores} == {"worse"}
     (trend,) = found.trends
     assert trend.values == (200.0, 50.0)
@@ -201,7 +201,7 @@ def test_clear_conditions_are_at_the_floor() -> None:
         conditions=[{"id": "dry", "scene": "s0", "weather": "clear", "frames": clear[8:]}],
     )
     found = validate(dry, seed=1)
-    assert found.counts() == {"agree": 9, "differ": 0, "unjudged": 0, "agree_at_floor": 9}
+    assert found.counts() == {"agree": 9, "differ": 0, "not_decided": 0, "unjudged": 0, "agree_at_floor": 9}
     assert found.conditions[0].label == "clear"
     assert found.trends == ()
 

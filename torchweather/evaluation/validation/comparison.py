@@ -10,13 +10,14 @@ import numpy as np
 from scipy import stats
 
 from torchweather.evaluation.validation.frame_scores import ScoreMeaning
+from torchweather.evaluation.validation.power import FACTOR, POWER, crossing, detection_probability
 
-__all__ = ["FAMILY_LEVEL", "Comparison", "Sample", "judged"]
+__all__ = ["FAMILY_LEVEL", "Comparison", "Sample", "Shift", "judged"]
 
 # Chance that one or more of all comparisons of a study is called a difference where there is none. Each comparison
 # gets an equal share of it (Bonferroni), which holds however they depend on each other.
 FAMILY_LEVEL = 0.05
-AGREES, DIFFERS, UNJUDGED = "agrees", "differs", "unjudged"
+AGREES, DIFFERS, UNDECIDED, UNJUDGED = "agrees", "differs", "not decided", "unjudged"
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,47 @@ class Sample:
 
 
 @dataclass(frozen=True)
+class Shift:
+    """Scores at another rate or visibility than the recorded one.
+
+    Args:
+        factor: by which the rate or the visibility is multiplied.
+        recorded, changed: scores of simulated frames at the recorded weather and at the changed one, frame by frame
+            with the same clear frame and the same random numbers.
+    """
+
+    factor: float
+    recorded: Sample
+    changed: Sample
+
+    @property
+    def mean(self) -> float:
+        """Change of the score; infinite where all changed scores are and no recorded one is; else not a number."""
+        finite = [
+            (one, other)
+            for one, other in zip(self.recorded.scores, self.changed.scores, strict=True)
+            if math.isfinite(one) and math.isfinite(other)
+        ]
+        if len(finite) > 1:
+            return float(np.mean([other - one for one, other in finite]))
+        kinds = [{math.isinf(score) for score in each.there} for each in (self.recorded, self.changed)]
+        return math.inf if kinds in ([{True}, {False}], [{False}, {True}]) else math.nan
+
+    @property
+    def standard_deviation(self) -> float:
+        """Between changed frames; not a number below two finite ones."""
+        finite = [score for score in self.changed.scores if math.isfinite(score)]
+        return float(np.std(finite, ddof=1)) if len(finite) > 1 else math.nan
+
+    @property
+    def paired_deviation(self) -> float:
+        """Of the change, between pairs."""
+        pairs = zip(self.recorded.scores, self.changed.scores, strict=True)
+        finite = [other - one for one, other in pairs if math.isfinite(one) and math.isfinite(other)]
+        return float(np.std(finite, ddof=1)) if len(finite) > 1 else math.nan
+
+
+@dataclass(frozen=True)
 class Comparison:
     """One score of one condition: measured against clear beside simulated against clear.
 
@@ -59,6 +101,8 @@ class Comparison:
         paired: sample ``i`` of measured and simulated belong together (a link in the same rain), so that their
             differences are what scatters.
         level: chance of calling a difference where there is none.
+        shifts: scores at other rates or visibilities, from which the power follows. Empty: the power is unknown, and
+            nothing is decided but differences. ``None``: there is nothing to change, as in clear air.
     """
 
     name: str
@@ -68,6 +112,7 @@ class Comparison:
     floor: Sample
     paired: bool = False
     level: float = FAMILY_LEVEL
+    shifts: tuple[Shift, ...] | None = None
 
     @property
     def gap(self) -> float:
@@ -97,15 +142,88 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """``agrees``, ``differs``, or ``unjudged`` where there are too few frames or some scores are infinite.
+        """``agrees``, ``differs``, ``not decided``, or ``unjudged`` where frames are too few or some scores infinite.
 
-        Two frames or more that are all infinite differ from two or more that are all finite.
+        Two frames or more that are all infinite differ from two or more that are all finite. Agreement takes more than
+        the absence of a difference: the same frames would have shown a rate or visibility wrong by a factor of 2,
+        either way, with a power of 80 %; and the gap is beyond the bound from those that these changes would make.
         """
         if math.isnan(self.in_errors):
             kinds = [{math.isinf(score) for score in each.there} for each in (self.measured, self.simulated)]
             enough = min(len(each.there) for each in (self.measured, self.simulated)) > 1
             return DIFFERS if enough and kinds in ([{True}, {False}], [{False}, {True}]) else UNJUDGED
-        return DIFFERS if abs(self.in_errors) > self.bound else AGREES
+        if abs(self.in_errors) > self.bound:
+            return DIFFERS
+        return AGREES if self.shifts is None or self._excludes_the_factor() else UNDECIDED
+
+    def power(self, factor: float) -> float:
+        """Probability of a difference if the true rate or visibility were ``factor`` times the recorded one.
+
+        By the noncentral t distribution at the study's own frame numbers. Between simulated factors, change and scatter
+        are interpolated over the logarithm. The scatter is the larger one of measured and simulated frames.
+        """
+        shift, error, freedom = self._if_changed(factor)
+        bound = float(stats.t.isf(self.level / 2, freedom)) if math.isfinite(freedom) else math.nan
+        return detection_probability(shift, error, bound, freedom)
+
+    @property
+    def smallest_change(self) -> tuple[float, float] | None:
+        """Factors below and above 1 nearest to it that the frames would have flagged with 80 % power.
+
+        0 and infinity where no simulated factor would have been; ``None`` where there is nothing to change, or the
+        power is not known.
+        """
+        if not self.shifts:
+            return None
+        factors = [each.factor for each in self.shifts]
+        below, above = [each for each in factors if each < 1], [each for each in factors if each > 1]
+        return crossing(below, self.power), crossing(above, self.power)
+
+    def _excludes_the_factor(self) -> bool:
+        there = {each.factor for each in self.shifts or ()}
+        for factor in (1.0 / FACTOR, FACTOR):
+            if factor not in there or self.power(factor) < POWER:
+                return False
+            # Frames of a true ``factor`` have their gap at -shift: simulated less measured.
+            shift, error, _ = self._if_changed(factor)
+            if abs(_ratio(self.gap + shift, error)) <= self.bound:
+                return False
+        return True
+
+    def _if_changed(self, factor: float) -> tuple[float, float, float]:
+        """Change of the score at a factor, standard error of the gap there, and degrees of freedom."""
+        x = math.log(factor)
+        known = sorted((math.log(each.factor), each) for each in self.shifts or () if each.factor != 1)
+        places = [0.0, *(place for place, _ in known)]
+        values = [(0.0, self._deviation(None)), *((each.mean, self._deviation(each)) for _, each in known)]
+        at_x = [value for place, value in zip(places, values, strict=True) if math.isclose(place, x, abs_tol=1e-9)]
+        if at_x:
+            shift, deviation = at_x[0]
+        else:
+            order = np.argsort(places)
+            ends = [np.array(places)[order], *(np.array(column)[order] for column in zip(*values, strict=True))]
+            with np.errstate(invalid="ignore"):
+                shift, deviation = (float(np.interp(x, ends[0], column)) for column in ends[1:])
+            # Between a finite score and an infinite one there is nothing to interpolate.
+            shift = shift if math.isfinite(shift) else math.nan
+        own = self._parts()
+        if self.paired:
+            count = own[0][1] + 1
+            parts = [(deviation / math.sqrt(count) if count > 1 else math.nan, count - 1)]
+        else:
+            count = len(self.measured.there)
+            parts = [(deviation / math.sqrt(count) if count else math.nan, count - 1), *own[1:]]
+        return shift, *_combined(parts)
+
+    def _deviation(self, shift: Shift | None) -> float:
+        """Scatter between frames (paired: of differences), at least that of the measured ones."""
+        if self.paired:
+            pairs = zip(self.simulated.scores, self.measured.scores, strict=True)
+            own = _deviation(tuple(simulated - measured for simulated, measured in pairs))
+            # A change that differs from pair to pair adds to the scatter of their differences.
+            return own if shift is None else math.hypot(own, shift.paired_deviation)
+        own = _deviation(self.measured.scores)
+        return own if shift is None else max(own, shift.standard_deviation)
 
     def side_of_floor(self, which: str) -> str:
         """Where the ``measured`` or ``simulated`` frames are, seen from clear frames: ``worse``, ``at`` or ``better``.
@@ -156,6 +274,21 @@ class Comparison:
             "gap_bound_in_standard_errors": self.bound,
             "gap_share_of_effect": self.share_of_effect,
             "verdict": self.verdict,
+            "power": self._power_dict(),
+        }
+
+    def _power_dict(self) -> dict[str, Any] | None:
+        changes = self.smallest_change
+        if changes is None:
+            return None
+        return {
+            "power": POWER,
+            "smallest_factor_below": changes[0],
+            "smallest_factor_above": changes[1],
+            "at_factors": [
+                {"factor": each.factor, "change_of_score": each.mean, "power": self.power(each.factor)}
+                for each in self.shifts or ()
+            ],
         }
 
 
@@ -163,6 +296,11 @@ def judged(comparisons: list[Comparison]) -> list[Comparison]:
     """The comparisons of a study, each with its share of the level of all."""
     number = sum(each.verdict != UNJUDGED for each in comparisons)
     return [replace(each, level=FAMILY_LEVEL / max(number, 1)) for each in comparisons]
+
+
+def _deviation(scores: tuple[float, ...]) -> float:
+    there = Sample(scores).there
+    return float(np.std(there, ddof=1)) if len(there) > 1 and all(map(math.isfinite, there)) else math.nan
 
 
 def _part(sample: Sample) -> tuple[float, int]:

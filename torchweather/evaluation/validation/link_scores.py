@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.evaluation.validation.comparison import Comparison, Sample
+from torchweather.evaluation.validation.comparison import Comparison, Sample, Shift
 from torchweather.evaluation.validation.frame_scores import ScoreMeaning
 from torchweather.evaluation.validation.quantities import Quantity, quantity
 from torchweather.gap.sensors.link.study_kind import dry_samples
@@ -42,12 +42,15 @@ class LinkClass:
     quantity: Quantity
 
 
-def compared_links(measured: Sequence[Frame], simulated: Sequence[Frame]) -> tuple[LinkClass, ...]:
+def compared_links(
+    measured: Sequence[Frame], simulated: Sequence[Frame], changed: Mapping[float, Sequence[Frame]] | None = None
+) -> tuple[LinkClass, ...]:
     """Attenuation of links in each class of path-mean rain that has samples.
 
     Args:
         measured, simulated: ``time_s``, ``attenuation_db``, ``rain_mm_per_h`` each, in the same order. A sample counts
             where both attenuations and the rain on the whole path are known.
+        changed: the same simulated at multiples of the rain, by factor; none: the power is not known.
     """
     series = [_Series.of(one, other) for one, other in zip(measured, simulated, strict=True)]
     floor = Sample(tuple(mean for each in series for mean in _means(each.measured, each.quiet)))
@@ -63,6 +66,10 @@ def compared_links(measured: Sequence[Frame], simulated: Sequence[Frame]) -> tup
             pairs = [(getattr(each, which), mask) for each, mask in zip(series, chosen, strict=True)]
             means[which] = Sample(tuple(mean for values, mask in pairs for mean in _means(values, mask)))
             samples[which] = np.concatenate([values[mask] for values, mask in pairs])
+        shifts = tuple(
+            Shift(factor, means["simulated"], Sample(_changed_means(frames, chosen)))
+            for factor, frames in (changed or {}).items()
+        )
         label = f"{low:g} to {high:g} mm/h" if high < math.inf else f"{low:g} mm/h or more"
         name = f"attenuation_db_from_{low:g}_mm_per_h"
         meaning = ScoreMeaning(False, "dB", f"mean attenuation at {label}", called=f"attenuation at {label}")
@@ -71,7 +78,7 @@ def compared_links(measured: Sequence[Frame], simulated: Sequence[Frame]) -> tup
             LinkClass(
                 low,
                 label,
-                Comparison(name, meaning, means["measured"], means["simulated"], floor, paired=True),
+                Comparison(name, meaning, means["measured"], means["simulated"], floor, paired=True, shifts=shifts),
                 quantity(
                     f"attenuation at {label}",
                     "dB",
@@ -103,6 +110,11 @@ class _Series:
         there = np.isfinite(first)
         quiet = dry_samples(measured["time_s"], measured["rain_mm_per_h"]) & there
         return cls(first, second, rain, there & np.isfinite(second), quiet)
+
+
+def _changed_means(frames: Sequence[Frame], chosen: Sequence[NDArray[np.bool_]]) -> tuple[float, ...]:
+    pairs = zip(frames, chosen, strict=True)
+    return tuple(mean for frame, mask in pairs for mean in _means(np.asarray(frame["attenuation_db"]), mask))
 
 
 def _means(values: Array, chosen: NDArray[np.bool_]) -> tuple[float, ...]:

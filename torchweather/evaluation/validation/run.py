@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,18 +15,32 @@ import numpy as np
 from torchweather import __version__
 from torchweather.core.errors import InputValueError
 from torchweather.core.threads import one_thread_an_operation
-from torchweather.evaluation.validation.comparison import FAMILY_LEVEL, Comparison, Sample, judged
+from torchweather.evaluation.validation.comparison import (
+    AGREES,
+    DIFFERS,
+    FAMILY_LEVEL,
+    UNDECIDED,
+    UNJUDGED,
+    Comparison,
+    Sample,
+    Shift,
+    judged,
+)
 from torchweather.evaluation.validation.frame_scores import FrameScores, frame_scores
 from torchweather.evaluation.validation.link_scores import compared_links
+from torchweather.evaluation.validation.power import FACTOR, FURTHER, POWER, changed_weather
 from torchweather.evaluation.validation.quantities import Quantity, Values, compared_quantities, values_of
 from torchweather.evaluation.validation.severity import TrendComparison, class_trends, compared_trends, weather_label
 from torchweather.gap.diagnosis import Finding, diagnose
+from torchweather.gap.sensors.link.study_kind import rain_attenuation_db
 from torchweather.gap.study.simulation import simulate, start_frame
-from torchweather.gap.study.study import Condition, Study, StudyScene
+from torchweather.gap.study.study import Condition, Frame, Study, StudyScene
 
 __all__ = ["ConditionResult", "Validation", "reference_frame", "validate"]
 
 Step = Callable[[int], object]
+# Frames simulated at another rate or visibility: change and scatter of a score are scaled to the study's own numbers.
+POWER_FRAMES = 8
 SMALL_FRAME = 1 << 18  # values: operations on its float32 arrays of 1 MB take less than waking a pool of threads
 
 
@@ -52,6 +67,26 @@ class ConditionResult:
     quantities: tuple[Quantity, ...]
     simulation_s: tuple[float, ...]
 
+    @property
+    def verdict(self) -> str:
+        """``differs`` where a score does; ``agrees`` where one agrees and none differs; else ``not decided``.
+
+        ``unjudged`` where no score could be judged.
+        """
+        found = {score.verdict for score in self.scores}
+        return next((each for each in (DIFFERS, AGREES, UNDECIDED) if each in found), UNJUDGED)
+
+    @property
+    def smallest_change(self) -> tuple[float, float] | None:
+        """Factors of rate or visibility, below and above 1, that the most sensitive score would have shown.
+
+        0 and infinity where none would have shown a factor of 4; ``None`` where the power is not known.
+        """
+        known = [each for each in (score.smallest_change for score in self.scores) if each is not None]
+        if not known:
+            return None
+        return max(below for below, _ in known), min(above for _, above in known)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
         return {
@@ -61,6 +96,8 @@ class ConditionResult:
             "split": self.split,
             "weather": None if self.weather is None else dict(self.weather),
             "frames": self.frames,
+            "verdict": self.verdict,
+            "smallest_factors_flagged": self.smallest_change,
             "scores": [score.to_dict() for score in self.scores],
             "quantities": [quantity.to_dict() for quantity in self.quantities],
             "simulation_s": [round(seconds, 6) for seconds in self.simulation_s],
@@ -90,7 +127,7 @@ class Validation:
     findings: tuple[Finding, ...]
 
     def counts(self) -> dict[str, int]:
-        """Comparisons that agree, differ and are unjudged; of those that agree, how many are at the floor alike."""
+        """Comparisons that agree, differ, are not decided and unjudged; of those that agree, how many at the floor."""
         all_of = [score for condition in self.conditions for score in condition.scores]
         verdicts = [score.verdict for score in all_of]
         at_floor = [
@@ -100,6 +137,7 @@ class Validation:
         return {
             "agree": verdicts.count("agrees"),
             "differ": verdicts.count("differs"),
+            "not_decided": verdicts.count("not decided"),
             "unjudged": verdicts.count("unjudged"),
             "agree_at_floor": sum(at_floor),
         }
@@ -116,7 +154,7 @@ class Validation:
     def verdict(self) -> str:
         """The outcome in plain words. It names what disagrees, not why."""
         counts, differing = self.counts(), self.differing()
-        judged_number = counts["agree"] + counts["differ"]
+        judged_number = counts["agree"] + counts["differ"] + counts["not_decided"]
         if not judged_number:
             return (
                 "Nothing could be judged: there are too few frames to know how much scores scatter. "
@@ -124,20 +162,40 @@ class Validation:
             )
         conditions = len(self.conditions)
         of = f"{_number(judged_number, 'comparison')} ({_number(conditions, 'condition')})"
-        said = [f"Simulation and measurement agree within their scatter in {counts['agree']} of {of}."]
+        said = [
+            *self._decided(),
+            f"Simulation and measurement agree within their scatter in {counts['agree']} of {of}.",
+        ]
         if differing:
             worst = sorted(differing.items(), key=lambda item: -len(item[1]))
             called = {score.name: score.meaning.called for each in self.conditions for score in each.scores}
             named = [f"{called[name] or name}{_where(labels, conditions)}" for name, labels in worst]
             said.append(f"They differ in {'; '.join(named)}.")
+        if counts["not_decided"]:
+            said.append(
+                f"{_number(counts['not_decided'], 'comparison')} not decided: these frames do not exclude that the "
+                f"rate or visibility is wrong by a factor of {FACTOR:g}."
+            )
         if counts["agree_at_floor"]:
             said.append(
-                f"In {counts['agree_at_floor']} of those that agree, neither can be told from clear frames: there "
-                "agreement says little."
+                f"In {counts['agree_at_floor']} of those that agree, neither is distinguishable from clear frames: "
+                "agreement there says little."
             )
         if counts["unjudged"]:
             said.append(f"{_number(counts['unjudged'], 'comparison')} could not be judged.")
         return " ".join(said)
+
+    def _decided(self) -> list[str]:
+        """Conditions in which the frames could have shown a wrong rate or visibility; none where nothing was tried."""
+        tried = [each for each in self.conditions if each.smallest_change is not None]
+        if not tried:
+            return []
+        could = sum(
+            changes is not None and changes[0] >= 1.0 / FACTOR and changes[1] <= FACTOR
+            for changes in (each.smallest_change for each in tried)
+        )
+        said = f"These frames would have shown a rate or visibility wrong by a factor of {FACTOR:g}, with "
+        return [said + f"{100 * POWER:.0f} % power, in {could} of {_number(len(tried), 'condition')}."]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values that JSON can hold: a number that is not finite is text (``inf``, ``-inf``, ``nan``)."""
@@ -149,6 +207,7 @@ class Validation:
             "verdict": self.verdict(),
             "counts": self.counts(),
             "chance_of_a_false_difference": FAMILY_LEVEL,
+            "power": {"probability": POWER, "factor": FACTOR},
             "left_out": dict(self.left_out),
             "conditions": [condition.to_dict() for condition in self.conditions],
             "trends": [trend.to_dict() for trend in self.trends],
@@ -162,20 +221,28 @@ class Validation:
 
 
 def validate(
-    study: Study, *, seed: int = 0, names: Sequence[str] | None = None, step: Step | None = None
+    study: Study,
+    *,
+    seed: int = 0,
+    names: Sequence[str] | None = None,
+    step: Step | None = None,
+    power: bool = True,
 ) -> Validation:
-    """Hold simulated frames against measured ones, both against clear frames.
+    """Compare simulated frames with measured ones, both by their scores against clear frames.
 
     Each condition gets as many simulated frames as it has measured ones. Measured and simulated frame ``i`` are scored
     against the same clear frame, never the one that the simulation started from (``reference_frame``). The floor is
     each clear frame against the next one. A score agrees where the gap of the means is within what chance does:
-    Student's t, with a chance of 5 % that any comparison of the study is called different where none is.
+    Student's t, with a chance of 5 % that any comparison of the study is called different where none is. It agrees only
+    where the same frames would have flagged half and twice the rate or visibility with 80 % power, and exclude them;
+    else it is not decided. Frames at these rates are simulated for that.
 
     Args:
         study: measured and clear frames.
         seed: of the simulation.
         names: of the scores; ``None``: all that the frames can have. Not for links.
         step: told of each condition done.
+        power: False simulates no other rates, in a third of the time; then nothing is called agreement.
 
     Returns:
         Scores, distributions, trends over severity, and what the study lacks.
@@ -193,7 +260,7 @@ def validate(
         >>> found.counts()["differ"]
         0
     """
-    found, trends, left_out = COMPARED.get(study.kind, _frames)(study, seed, names, step or (lambda _: None))
+    found, trends, left_out = COMPARED.get(study.kind, _frames)(study, seed, names, step or (lambda _: None), power)
     return Validation(
         kind=study.kind,
         seed=seed,
@@ -212,19 +279,19 @@ def _threads_for(study: Study) -> AbstractContextManager[None]:
     return one_thread_an_operation() if small else nullcontext()
 
 
-def _frames(study: Study, seed: int, names: Sequence[str] | None, step: Step) -> Compared:
+def _frames(study: Study, seed: int, names: Sequence[str] | None, step: Step, power: bool) -> Compared:
     """Every frame against a clear one."""
     scores, found = frame_scores(study, names), []
     with _threads_for(study):
         clear = {name: _clear(study, scene, scores) for name, scene in study.scenes.items()}
         for condition in study.conditions:
-            found.append(_condition(study, condition, scores, clear[condition.scene], seed))
+            found.append(_condition(study, condition, scores, clear[condition.scene], seed, power))
             step(1)
     levels = [(one.scene, one.weather, each.scores) for one, each in zip(study.conditions, found, strict=True)]
     return found, compared_trends(levels, seed), scores.left_out
 
 
-def _links(study: Study, seed: int, names: Sequence[str] | None, step: Step) -> Compared:
+def _links(study: Study, seed: int, names: Sequence[str] | None, step: Step, power: bool) -> Compared:
     """Links by classes of rain."""
     if names is not None:
         raise InputValueError(
@@ -237,7 +304,8 @@ def _links(study: Study, seed: int, names: Sequence[str] | None, step: Step) -> 
             started = time.perf_counter()
             simulated.append(simulate(study, condition, seed=seed, number=number))
             seconds.append(time.perf_counter() - started)
-        classes = compared_links(list(condition.frames), simulated)
+        rain = [_rain_changed(study, simulated, factor) for factor in LINK_FACTORS if power]
+        classes = compared_links(list(condition.frames), simulated, dict(zip(LINK_FACTORS, rain, strict=False)))
         result = ConditionResult(
             **{**_about(condition), "label": condition.id},  # the record of the rain is in the frames
             frames=len(simulated),
@@ -249,6 +317,19 @@ def _links(study: Study, seed: int, names: Sequence[str] | None, step: Step) -> 
         trends += class_trends(condition.id, classes, seed)
         step(1)
     return found, trends, {}
+
+
+LINK_FACTORS = (1.0 / FURTHER, 1.0 / FACTOR, FACTOR, FURTHER)
+
+
+def _rain_changed(study: Study, simulated: Sequence[Frame], factor: float) -> list[Frame]:
+    """Simulated series with the loss of a multiple of the rain, over the same dry samples."""
+    found = []
+    for frame in simulated:
+        rain = np.asarray(frame["rain_mm_per_h"])
+        loss = [rain_attenuation_db(study.links, each) for each in (rain, factor * rain)]
+        found.append({**frame, "attenuation_db": np.asarray(frame["attenuation_db"]) + loss[1] - loss[0]})
+    return found
 
 
 Compared = tuple[list[ConditionResult], list[TrendComparison], Mapping[str, str]]
@@ -294,7 +375,9 @@ def _clear(study: Study, scene: StudyScene, scores: FrameScores) -> _Clear:
     return _Clear(floor, [values_of(study, frame) for frame in frames])
 
 
-def _condition(study: Study, condition: Condition, scores: FrameScores, clear: _Clear, seed: int) -> ConditionResult:
+def _condition(
+    study: Study, condition: Condition, scores: FrameScores, clear: _Clear, seed: int, power: bool
+) -> ConditionResult:
     scene = study.scene_of(condition)
     found: dict[str, list[dict[str, float]]] = {"measured": [], "simulated": []}
     values: dict[str, list[Values]] = {"measured": [], "simulated": []}
@@ -308,22 +391,72 @@ def _condition(study: Study, condition: Condition, scores: FrameScores, clear: _
         for which, frame in (("measured", condition.frames[number]), ("simulated", simulated)):
             found[which].append(scores.score(frame, reference, scene.geometry))
             values[which].append(values_of(study, frame))
+    compared = tuple(
+        Comparison(
+            name,
+            meaning,
+            measured=_sample(found["measured"], name),
+            simulated=_sample(found["simulated"], name),
+            floor=clear.floor[name],
+        )
+        for name, meaning in scores.meanings.items()
+    )
+    if condition.weather is not None:
+        at = partial(_scores_at, study, condition, scores, seed)
+        compared = _with_power(compared, found["simulated"], at) if power else _without_power(compared)
     return ConditionResult(
         **_about(condition),
         frames=len(condition.frames),
-        scores=tuple(
-            Comparison(
-                name,
-                meaning,
-                measured=_sample(found["measured"], name),
-                simulated=_sample(found["simulated"], name),
-                floor=clear.floor[name],
-            )
-            for name, meaning in scores.meanings.items()
-        ),
+        scores=compared,
         quantities=compared_quantities(values["measured"], values["simulated"], clear.values),
         simulation_s=tuple(seconds),
     )
+
+
+Scores = list[dict[str, float]]
+
+
+def _scores_at(study: Study, condition: Condition, scores: FrameScores, seed: int, factor: float) -> Scores | None:
+    """Scores of frames simulated at another rate or visibility, with the draws and clear frames of the recorded one."""
+    assert condition.weather is not None
+    weather = changed_weather(condition.weather, factor)
+    if weather is None:
+        return None
+    scene, changed, found = study.scene_of(condition), replace(condition, weather=weather), []
+    for number in range(min(len(condition.frames), POWER_FRAMES)):
+        start = start_frame(study, changed, seed=seed, number=number)
+        reference = scene.clear[reference_frame(number, start, len(scene.clear))]
+        found.append(scores.score(simulate(study, changed, seed=seed, number=number), reference, scene.geometry))
+    return found
+
+
+def _with_power(
+    compared: tuple[Comparison, ...], recorded: Scores, at: Callable[[float], Scores | None]
+) -> tuple[Comparison, ...]:
+    """The comparisons with scores at half and twice the intensity; farther where no score would have shown these."""
+    compared = _without_power(compared)
+    for near, far in ((1.0 / FACTOR, 1.0 / FURTHER), (FACTOR, FURTHER)):
+        for factor in (near, far):
+            found = at(factor)
+            if found is None:
+                break
+            compared = tuple(
+                replace(
+                    each,
+                    shifts=(
+                        *(each.shifts or ()),
+                        Shift(factor, _sample(recorded[: len(found)], each.name), _sample(found, each.name)),
+                    ),
+                )
+                for each in compared
+            )
+            if any(each.power(factor) >= POWER for each in compared):
+                break
+    return compared
+
+
+def _without_power(compared: tuple[Comparison, ...]) -> tuple[Comparison, ...]:
+    return tuple(replace(each, shifts=()) for each in compared)
 
 
 def _sample(found: Sequence[Mapping[str, float]], name: str) -> Sample:
