@@ -37,6 +37,7 @@ MODULES = {
     "torchweather.evaluation.sweep": "scores over rates and visibilities",
     "torchweather.evaluation.robustness": "detectors in weather",
     "torchweather.evaluation.validation": "simulation beside recordings",
+    "torchweather.evaluation.fit": "rate or visibility from recordings",
     "torchweather.export": "ONNX",
     "torchweather.gap": "effects that the simulation lacks",
     "torchweather.scenes": "scenes of known truth",

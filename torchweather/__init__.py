@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from torchweather.camera.transform import BayerFog, BayerRain, BayerSnow, BayerWeather, CameraResult
     from torchweather.compose import Compose, RandomFog, RandomRain, RandomSnow, RandomWeather, WeatherDataset
     from torchweather.core.distributions import Choice, LogUniform, Uniform
+    from torchweather.evaluation.fit import fit_weather
     from torchweather.lidar.sensor import Lidar
     from torchweather.lidar.transform import LidarFog, LidarRain, LidarResult, LidarSnow, LidarWeather
     from torchweather.pipeline.point_kind import PointKind
@@ -65,6 +66,7 @@ __all__ = [
     "WetRoad",
     "WetWindow",
     "__version__",
+    "fit_weather",
 ]
 
 # Where each public name lives. It is imported at its first use, so that `torchweather --help` does not load torch.
@@ -72,6 +74,7 @@ _HOMES = {
     "torchweather.camera.night.lamps": ("Lamp", "Night"),
     "torchweather.compose": ("Compose", "RandomFog", "RandomRain", "RandomSnow", "RandomWeather", "WeatherDataset"),
     "torchweather.core.distributions": ("Choice", "LogUniform", "Uniform"),
+    "torchweather.evaluation.fit": ("fit_weather",),
     "torchweather.sensors": ("Camera", "Lidar", "Radar"),
     "torchweather.stages": ("PointKind",),
     "torchweather.transforms": (

@@ -19,6 +19,7 @@ NAMES = (
     "metrics",
     "robustness",
     "sweep",
+    "validation",
     "scenes",
     "export",
     "gap",

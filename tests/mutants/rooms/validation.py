@@ -5,6 +5,7 @@ from __future__ import annotations
 from tests.mutants.mutant import Mutant
 
 POWER_TESTS = "tests/evaluation/validation/test_power.py"
+FIT_TESTS = "tests/evaluation/fit/test_fit_weather.py"
 COMPARISON = "torchweather.evaluation.validation.comparison"
 
 MUTANTS = (
@@ -23,5 +24,21 @@ MUTANTS = (
         "parts = [(deviation / math.sqrt(count) if count else math.nan, count - 1), *own[1:]]",
         "parts = [(deviation / count if count else math.nan, count - 1), *own[1:]]",
         (f"{POWER_TESTS}::test_power_is_the_share_of_drawn_studies_that_differ",),
+    ),
+    Mutant(
+        "one_way_of_two",
+        "the light of a LiDAR loses the extinction there and back",
+        "torchweather.evaluation.fit.path_line",
+        'range_m, -2.0, "extinction_per_m"',
+        'range_m, -1.0, "extinction_per_m"',
+        (f"{FIT_TESTS}::test_a_lidars_visibility_from_a_wrong_record",),
+    ),
+    Mutant(
+        "noise_counts_as_contrast",
+        "dark and bright lie at one depth, and are told by frames that are not measured",
+        "torchweather.evaluation.fit.camera_light",
+        "clear = np.mean(clear[:sorting], axis=0), clear[sorting:]",
+        "clear = np.mean(clear[-1:], axis=0), clear[-1:]",
+        (f"{FIT_TESTS}::test_a_cameras_visibility_airlight_and_gain",),
     ),
 )
