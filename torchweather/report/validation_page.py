@@ -164,8 +164,8 @@ def _power(validation: Validation) -> list[Section]:
     for result in validation.conditions:
         if (changes := result.smallest_change) is None:
             continue
-        known = [(score, score.smallest_change) for score in result.scores]
-        best = min((each for each in known if each[1]), key=lambda each: max(each[1][1], 1.0 / (each[1][0] or 1e-9)))
+        known = [(score.name, factors) for score in result.scores if (factors := score.smallest_change)]
+        best = min(known, key=lambda each: max(each[1][1], 1.0 / max(each[1][0], 1e-9)))[0]
         shown = math.isfinite(changes[1]) or changes[0] > 0
         rows.append(
             (
@@ -173,7 +173,7 @@ def _power(validation: Validation) -> list[Section]:
                 f"{result.frames}",
                 result.verdict,
                 *_factors(changes),
-                _title(best[0].name) if shown else NO_VALUE,
+                _title(best) if shown else NO_VALUE,
             )
         )
     heads: parts.Heads = ["Condition", "Frames", parts.Column("Verdict", "left"), "Less, factor", "More, factor"]

@@ -64,8 +64,9 @@ def camera_models(study: Study, condition: Condition, left_out: Mask) -> tuple[M
     sorting = max(1, len(clear) // 4)
     order, clear = np.mean(clear[:sorting], axis=0), clear[sorting:]
     used = np.isfinite(depth_m) if left_out is None else np.isfinite(depth_m) & ~left_out
-    colour = cfa_index(*depth_m.shape, camera.bayer_pattern).numpy()
-    per_depth = rays_of_frame(camera, *depth_m.shape, torch.zeros(1, dtype=torch.float64), float("inf")).per_depth
+    height, width = depth_m.shape
+    colour = cfa_index(height, width, camera.bayer_pattern).numpy()
+    per_depth = rays_of_frame(camera, height, width, torch.zeros(1, dtype=torch.float64), float("inf")).per_depth
     cells = _cells(depth_m, depth_m * per_depth[0, 0].numpy(), colour, order, used)
     if len(cells.colour) < 8:
         return {}, dict.fromkeys(ESTIMATORS, "too few pixels at known depth")

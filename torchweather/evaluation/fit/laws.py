@@ -41,7 +41,7 @@ class PathLaw:
             loss: of a weather, 1/m or dB/km.
         """
         known = [each for each in (changed_weather(weather, float(factor)) for factor in FACTORS) if each is not None]
-        pairs = sorted((loss(each), float(each.intensity)) for each in known)  # type: ignore[arg-type]
+        pairs = sorted((loss(each), float(each.intensity)) for each in known)
         found = np.array([pair for pair in pairs if pair[0] > 0])
         return cls(found[:, 1], found[:, 0], weather.intensity_name == "mor_m")
 

@@ -122,7 +122,7 @@ def fitted(statistics: Statistics, model: Model, *, bootstrap: int, seed: int) -
     misfit = chi_square / freedom
     frames = min(len(statistics.measured), len(statistics.clear))
     wider = np.sqrt(max(1.0, misfit))
-    values = {}
+    held: dict[str, Value] = {}
     for place, name in enumerate(model.names):
         drawn = found[1:, place].numpy()
         low = high = float("nan")
@@ -132,9 +132,9 @@ def fitted(statistics: Statistics, model: Model, *, bootstrap: int, seed: int) -
             deviation = float(ends[1] - ends[0]) / 2 * np.sqrt(frames / (frames - 1)) * wider
             reach = float(stats.t.ppf((1 + INTERVAL) / 2, frames - 1)) * deviation
             low, high = value - reach, value + reach
-        values[name] = Value(value, low, high)
+        held[name] = Value(value, low, high)
     fits = chi_square <= float(stats.chi2.ppf(MISFIT_LEVEL, freedom))
-    return Fitted(values, misfit, fits, int(kept.sum()))
+    return Fitted(held, misfit, fits, int(kept.sum()))
 
 
 def _variance(values: Array) -> Array:

@@ -133,7 +133,8 @@ def _weighted(range_m: Array, level: Array) -> Array:
         return np.zeros(LENGTHS)
     order = np.argsort(range_m)
     share = np.cumsum(level[order]) - level[order] / 2
-    return np.interp((np.arange(LENGTHS) + 0.5) / LENGTHS * level.sum(), share, range_m[order])
+    found: Array = np.interp((np.arange(LENGTHS) + 0.5) / LENGTHS * level.sum(), share, range_m[order])
+    return found
 
 
 def _lines(rows: Statistics, distance: Array, ways: float, loss: str, offset: str) -> tuple[Models, dict[str, str]]:

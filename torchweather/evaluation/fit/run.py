@@ -152,7 +152,7 @@ def fit_weather(
                 condition.id,
                 weather.kind,
                 weather.intensity_name,
-                float(weather.intensity),  # type: ignore[arg-type]
+                float(weather.intensity),
                 len(condition.frames),
                 tuple(estimates),
                 {name: why[name] for name in chosen if name in why},

@@ -324,7 +324,7 @@ LINK_FACTORS = (1.0 / FURTHER, 1.0 / FACTOR, FACTOR, FURTHER)
 
 def _rain_changed(study: Study, simulated: Sequence[Frame], factor: float) -> list[Frame]:
     """Simulated series with the loss of a multiple of the rain, over the same dry samples."""
-    found = []
+    found: list[Frame] = []
     for frame in simulated:
         rain = np.asarray(frame["rain_mm_per_h"])
         loss = [rain_attenuation_db(study.links, each) for each in (rain, factor * rain)]
