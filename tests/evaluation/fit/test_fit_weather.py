@@ -79,19 +79,20 @@ def radar_study(seed: int, *, true: float) -> Study:
 
 
 def camera_study(
-    seed: int, *, true_m: float, gain: float = 1.0, airlight: bool = False, vehicle: bool = False
+    seed: int, *, true_m: float, gain: float = 1.0, airlight: bool = False, vehicle: bool = False, weak: bool = False
 ) -> Study:
-    """Squares at 5 to 120 m in airlight of another colour than they have; noise of 1 % of saturation."""
+    """Squares at 5 to 120 m in airlight of another colour than they have; noise of 1 % of saturation (weak: 3 %)."""
     rng = np.random.default_rng(seed)
     depth_m = np.repeat(np.geomspace(5.0, 120.0, 60)[:, None], 80, axis=1)
-    texture = np.kron(rng.uniform(0.03, 0.35, (15, 20)), np.ones((4, 4)))
+    texture = np.kron(rng.uniform(*((0.15, 0.25) if weak else (0.03, 0.35)), (15, 20)), np.ones((4, 4)))
+    noise = 0.03 if weak else 0.01
     # RGGB: the colour of each pixel by hand.
     colour = np.array([[0, 1], [1, 2]])[np.arange(60)[:, None] % 2, np.arange(80)[None] % 2]
     per_m = camera_extinction(true_m)[colour]
     light = np.array(AIRLIGHT)[colour]
 
     def frame(passed: Any, factor: float) -> dict[str, Any]:
-        seen = factor * (texture * passed + light * (1 - passed)) + 0.01 * rng.standard_normal(texture.shape)
+        seen = factor * (texture * passed + light * (1 - passed)) + noise * rng.standard_normal(texture.shape)
         return {"bayer": np.clip(seen, 0.0, 1.0)}
 
     frames = [frame(np.exp(-per_m * depth_m), gain) for _ in range(FRAMES)]
@@ -165,6 +166,12 @@ def test_a_cameras_visibility_airlight_and_gain(gain: float) -> None:
     assert colours == pytest.approx(AIRLIGHT, rel=0.04)
 
 
+def test_noise_is_no_contrast() -> None:
+    found = by_name(fit_weather(camera_study(9, true_m=300.0, weak=True), bootstrap=50))["contrast"]
+    # Noise of clear frames as large as their contrast would make the gain a half.
+    assert found.others["exposure_gain"].value == pytest.approx(1.0, abs=0.12)
+
+
 def test_a_vehicle_that_passes_does_not_count() -> None:
     found = by_name(fit_weather(camera_study(6, true_m=80.0, vehicle=True), bootstrap=100))
     assert found["all_light"].intensity.value == pytest.approx(80.0, rel=0.05)
@@ -183,6 +190,14 @@ def test_a_mask_leaves_pixels_out() -> None:
     )
     masked = by_name(fit_weather(blocked, mask=mask, bootstrap=50))["all_light"]
     assert masked.intensity.value == pytest.approx(80.0, rel=0.05)
+    stated = Study.from_arrays(
+        sensor=CAMERA,
+        scenes=[
+            {"id": "s0", "clear": list(scene.clear), "geometry": {**scene.geometry, "mask": mask.astype(np.uint8)}}
+        ],
+        conditions=[{"id": "c0", "scene": "s0", "weather": "fog:mor=150", "frames": frames}],
+    )
+    assert by_name(fit_weather(stated, bootstrap=50))["all_light"] == masked
     assert not by_name(fit_weather(blocked, bootstrap=50))["all_light"].fits
     with pytest.raises(ValueError, match=r"mask of scene s0: expected shape \(60, 80\)"):
         fit_weather(blocked, mask=mask[:2])

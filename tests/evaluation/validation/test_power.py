@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.gap import studies
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
 from torchweather.evaluation.validation.comparison import Comparison, Sample, Shift
-from torchweather.evaluation.validation.frame_scores import ScoreMeaning
+from torchweather.evaluation.validation.frame_scores import ScoreMeaning, frame_scores
 from torchweather.evaluation.validation.power import changed_weather, crossing, detection_probability
 from torchweather.evaluation.validation.run import Validation, validate
 from torchweather.gap.study import embedded
@@ -61,6 +62,8 @@ def compared(gap: float, change: float, *, paired: bool = False) -> Comparison:
 
 def test_agreement_takes_power() -> None:
     assert compared(0.0, 0.5).verdict == "not decided"
+    # Beyond the bound from twice the rate by luck: such frames would have shown it with less than 80 %.
+    assert compared(0.0, 1.15).verdict == "not decided"
     assert compared(0.0, 5.0).verdict == "agrees"
     assert compared(5.0, 5.0).verdict == "differs"
     assert replace(compared(0.0, 5.0), shifts=()).verdict == "not decided"
@@ -174,3 +177,17 @@ def test_the_bound_of_the_power_is_that_of_the_test() -> None:
     found = replace(compared(0.0, 5.0), level=0.01)
     assert found.power(1.0) == pytest.approx(0.01, abs=2e-3)  # no change: the level itself
     assert found.bound == pytest.approx(stats.t.isf(0.005, 10), rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["camera", "lidar", "radar"])
+def test_what_a_mask_leaves_out_does_not_count(kind: str) -> None:
+    study = studies.study(kind)
+    scene = next(iter(study.scenes.values()))
+    score, clear = frame_scores(study).score, scene.clear[0]
+    key, value = {"camera": ("bayer", 0.9), "lidar": ("range_m", 1.5), "radar": ("power_db", 99.0)}[kind]
+    mask = np.zeros(np.shape(clear[key]))
+    mask.reshape(-1)[0] = 1
+    odd = {**clear, key: np.where(mask != 0, value, clear[key])}
+    masked = {**scene.geometry, "mask": mask}
+    assert score(odd, clear, masked) == score(clear, clear, masked)
+    assert score(odd, clear, scene.geometry) != score(clear, clear, scene.geometry)

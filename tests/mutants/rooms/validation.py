@@ -39,6 +39,14 @@ MUTANTS = (
         "torchweather.evaluation.fit.camera_light",
         "clear = np.mean(clear[:sorting], axis=0), clear[sorting:]",
         "clear = np.mean(clear[-1:], axis=0), clear[-1:]",
-        (f"{FIT_TESTS}::test_a_cameras_visibility_airlight_and_gain",),
+        (f"{FIT_TESTS}::test_noise_is_no_contrast",),
+    ),
+    Mutant(
+        "masked_pixels_counted",
+        "what a scene's mask leaves out does not count",
+        "torchweather.evaluation.validation.frame_scores",
+        'if "mask" not in geometry:',
+        'if "mask" in geometry:',
+        (f"{POWER_TESTS}::test_what_a_mask_leaves_out_does_not_count",),
     ),
 )

@@ -71,7 +71,8 @@ def fit_weather(
             - Camera: ``contrast`` (differences of dark and bright at one depth: airlight cancels), ``all_light``
               (airlight of each colour fitted), ``sky_airlight`` (that of the clear frames' sky) and
               ``measured_airlight`` (that of the condition). All fit a gain of the exposure.
-        mask: True for pixels (beams, targets) that do not count, for all scenes or by scene.
+        mask: True for pixels (beams, targets) that do not count, for all scenes or by scene; beside the ``mask`` that a
+            scene's geometry has.
         bootstrap: samples of the frames; 50 or more.
         seed: of the samples.
 
@@ -162,10 +163,11 @@ def fit_weather(
 
 
 def _masks(study: Study, mask: NDArray[np.bool_] | Masks | None) -> dict[str, NDArray[np.bool_]]:
+    own = {name: scene.geometry["mask"] for name, scene in study.scenes.items() if "mask" in scene.geometry}
+    found = {name: np.asarray(values) != 0 for name, values in own.items()}
     if mask is None:
-        return {}
+        return found
     by_scene = dict(mask) if isinstance(mask, Mapping) else dict.fromkeys(study.scenes, mask)
-    found = {}
     for name, values in by_scene.items():
         check_one_of("scene of the mask", name, study.scenes, owner="fit_weather")
         frame = study.scenes[name].clear[0]
@@ -175,5 +177,5 @@ def _masks(study: Study, mask: NDArray[np.bool_] | Masks | None) -> dict[str, ND
                 f"fit_weather: mask of scene {name}: expected shape {wanted}, True for what does not count; got "
                 f"{np.shape(values)}."
             )
-        found[name] = np.asarray(values, dtype=bool)
+        found[name] = np.asarray(values, dtype=bool) | found.get(name, np.zeros(wanted, dtype=bool))
     return found

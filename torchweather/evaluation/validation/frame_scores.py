@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -83,7 +83,24 @@ def frame_scores(study: Study, names: Sequence[str] | None = None) -> FrameScore
     for name in names or ():
         check_one_of("score", name, known, owner="frame_scores")
     chosen = {name: known[name] for name in (known if names is None else dict.fromkeys(names))}
-    return SCORES[study.kind](study, chosen)
+    found = SCORES[study.kind](study, chosen)
+
+    def score(frame: Frame, clear: Frame, geometry: Frame) -> dict[str, float]:
+        return found.score(*_unmasked(study.kind, frame, clear, geometry), geometry)
+
+    return replace(found, score=score)
+
+
+def _unmasked(kind: str, frame: Frame, clear: Frame, geometry: Frame) -> tuple[Frame, Frame]:
+    """Both frames without what the scene's mask leaves out: pixels are alike in both, beams and targets are gone."""
+    if "mask" not in geometry:
+        return frame, clear
+    mask, (key, gone) = np.asarray(geometry["mask"]) != 0, GONE[kind]
+    filled = clear[key] if gone is None else gone
+    return (
+        {**frame, key: np.where(mask, filled, frame[key])},
+        {**clear, key: np.where(mask, filled, clear[key])},
+    )
 
 
 def _of_images(study: Study, chosen: Meanings) -> FrameScores:
@@ -124,6 +141,12 @@ def _of_detections(study: Study, chosen: Meanings) -> FrameScores:
     return FrameScores(chosen, {}, score)
 
 
+# Array of a frame and its value where there is nothing; of a camera the clear frame's own.
+GONE: dict[str, tuple[str, float | None]] = {
+    "camera": ("bayer", None),
+    "lidar": ("range_m", 0.0),
+    "radar": ("power_db", math.nan),
+}
 SCORES = {"camera": _of_images, "lidar": _of_scans, "radar": _of_detections}
 
 

@@ -56,6 +56,7 @@ class CameraStudy(StudyKind):
                 (*GRID, 3), "unit vectors, or NaN or 0 where there is no surface", holds=_normals, required=False
             ),
             "label": ArrayRule(GRID, "whole numbers", whole=True, required=False),
+            "mask": ArrayRule(GRID, "0, or 1 for pixels that do not count", 0.0, 1.0, whole=True, required=False),
         },
         "frame": {
             "bayer": ArrayRule(

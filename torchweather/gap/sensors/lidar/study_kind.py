@@ -49,6 +49,7 @@ class LidarStudy(StudyKind):
             ),
         },
         "geometry": {
+            "mask": ArrayRule(GRID, "0, or 1 for beams that do not count", 0.0, 1.0, whole=True, required=False),
             "cos_incidence": ArrayRule(
                 GRID, "0..1, or NaN where a beam meets no surface", 0.0, 1.0 + UNIT_TOLERANCE, nan=True, required=False
             ),

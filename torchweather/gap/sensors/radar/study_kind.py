@@ -43,6 +43,7 @@ class RadarStudy(StudyKind):
             ),
             "speed_m_per_s": ArrayRule(TARGETS, "finite, m/s"),
             "target_class": ArrayRule(TARGETS, "whole numbers", whole=True),
+            "mask": ArrayRule(TARGETS, "0, or 1 for targets that do not count", 0.0, 1.0, whole=True, required=False),
         },
         "frame": {
             "power_db": ArrayRule(TARGETS, "finite in dB, or NaN where the target was not detected", nan=True),
