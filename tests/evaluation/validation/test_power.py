@@ -142,7 +142,7 @@ def simulated(kind: str, factor: float, weathers: tuple[Weather, ...]) -> Valida
 @pytest.mark.parametrize(
     ("kind", "weathers"),
     [
-        ("camera", WHOLE[1:2]),
+        pytest.param("camera", WHOLE[1:2], marks=pytest.mark.long),
         ("radar", WHOLE[1:2]),
         *(pytest.param(kind, WHOLE, marks=pytest.mark.long) for kind in ("lidar", "camera", "radar")),
     ],
