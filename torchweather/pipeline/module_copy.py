@@ -1,4 +1,4 @@
-"""Shallow copies of modules, which share all that is not replaced."""
+"""Copies of modules with other buffers; the copy shares everything else with the original."""
 
 from __future__ import annotations
 

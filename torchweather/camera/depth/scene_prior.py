@@ -35,9 +35,9 @@ _USUAL_SKY = 0.17
 _OWN_VEHICLE_M = 1.0
 # A box that brings a pixel nearer than this share of the plain street's depth hides the ground.
 _OF_OBJECT = 0.97
+_UNLIKELY = 0.15  # probability below which the filter may not carry ground, towards the horizon
 # Guided filter of the ground's border along the picture's edges: window as a share of the width, variance of the
 # picture below which it is flat, and thinning.
-_UNLIKELY = 0.15  # probability below which the filter may not carry ground, towards the horizon
 _EDGE_SHARE, _EDGE_EPS, _EDGE_SUBSAMPLE = 0.05, 1e-3, 4
 
 
