@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from torchweather.core.compiled import jit
 from torchweather.core.compiled_math import exp_of, log_of_sum
+from torchweather.pipeline.point_kind import PointKind
 
-__all__ = ["LABELS", "UNITS", "Cloud", "Drawn", "Out", "Part", "Receiver", "weather_beams"]
+__all__ = ["UNITS", "Cloud", "Drawn", "Out", "Part", "Receiver", "weather_beams"]
 
 Array = NDArray[np.float32]
 
@@ -31,9 +32,7 @@ UNITS["uint8_calibrated"] = 5
 """Numbers of the units of intensity."""
 PHOTONS, NONE, REFLECTIVITY, LINEAR_8_BITS, CALIBRATED = 0, 1, 2, 4, 5
 
-LABELS = (0, 1, 2)
-"""``PointKind`` of an object, a particle and a lost return."""
-OBJECT, PARTICLE, LOST = (np.int8(label) for label in LABELS)
+OBJECT, PARTICLE, LOST = (np.int8(kind) for kind in (PointKind.OBJECT, PointKind.PARTICLE, PointKind.LOST))
 
 
 class Out(NamedTuple):
