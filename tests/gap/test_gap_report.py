@@ -73,6 +73,7 @@ def base(mean: float = 0.5, whole: float = 1.0, **off: Floats) -> SimulatedDistr
         {name: np.tile(values, (4, 1)) for name in CONDITIONS},
         {},
         {},
+        dict.fromkeys(CONDITIONS, np.ones(SIZE)),
     )
 
 

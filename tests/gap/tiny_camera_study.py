@@ -11,6 +11,8 @@ import numpy as np
 import torch
 
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
+from torchweather.camera.airlight import towards_horizon
+from torchweather.camera.rays import rays_of
 from torchweather.pipeline.effect import Effect
 from torchweather.scenes import SCENES
 from torchweather.sensors import Camera
@@ -33,6 +35,22 @@ def view() -> Any:
     return SCENES["test-track"]().view(CAMERA)
 
 
+@lru_cache
+def horizon_light() -> tuple[float, float, float]:
+    """Signal of the sky near the horizon by colour, over all cells of the mosaic that show nothing but sky.
+
+    The estimate of a transform looks at every fourth row, which are 3 degrees of a frame as small as this one.
+    """
+    seen = view()
+    sky = seen.depth_m[0].isinf()
+    whole = sky[0::2, 0::2] & sky[0::2, 1::2] & sky[1::2, 0::2] & sky[1::2, 1::2]
+    x, y, _ = CAMERA.ray_directions(HEIGHT, WIDTH, dtype=torch.float64)
+    weight = towards_horizon(whole[None].double(), rays_of(CAMERA, x, y).sine_elevation[0, :, 0::2, 0::2])[0]
+    mosaic = seen.bayer[0].double()
+    light = [float((mosaic[y::2, x::2] * weight).sum() / weight.sum()) for y in (0, 1) for x in (0, 1)]
+    return light[0], (light[1] + light[2]) / 2, light[3]  # of RGGB
+
+
 def noisy(bayer: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Shot noise of the light that arrives."""
     return np.clip(rng.poisson(np.clip(bayer, 0, 2) * ELECTRONS) / ELECTRONS, 0.0, 1.0).astype(np.float32)
@@ -47,7 +65,7 @@ def values_of(
     conditions = []
     for weather, split in zip(WEATHERS[kind], SPLITS, strict=True):
         true = replace(weather, **{weather.intensity_name: weather.intensity * float(np.exp(0.07 * rng.normal()))})
-        transform = BayerWeather(true, CAMERA, effects=effects)
+        transform = BayerWeather(true, CAMERA, effects=effects, airlight=horizon_light())
         made = []
         for _ in range(frames):
             noise = transform.draw(seen.bayer[None], seed=int(rng.integers(2**60)))

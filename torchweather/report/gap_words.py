@@ -35,6 +35,8 @@ STATISTICS = {
     "beyond_share": "Beams that return behind their surface",
     "log_intensity_ratio": "Intensity over clear air's",
     "log_intensity_spread": "Spread of intensity over clear air's",
+    "zero_intensity_share": "Beams whose return has the intensity 0",
+    "zero_intensity_share_of_particles": "Particle returns with the intensity 0",
     "range_residual_m": "Range less clear air's",
     "range_residual_spread": "Spread of range less clear air's",
     "particles_before_objects": "Particle returns in front of surfaces",

@@ -59,14 +59,17 @@ def test_null_residuals_have_the_moments_of_noise_and_nuisance(null: SimulatorLi
     counted = np.concatenate([null.start.used[aim.condition.id] for aim in null.measured])
     number = 4000
     found = null.null_residuals(one, number, 0)
-    variance = counted + (one.response**2).sum(1)
+    expected = np.concatenate([null.start.expected[aim.condition.id] for aim in null.measured]) * counted
+    variance = expected + (one.response**2).sum(1)
     # 4,000 draws: 5 x sqrt(2 / 4,000) = 11 %.
     np.testing.assert_allclose(found.var(0), variance, rtol=0.12, atol=1e-12)
     assert (np.abs(found.mean(0)) <= 5.0 * np.sqrt(variance / number)).all()
-    # What M leaves of noise with that covariance is one for each entry that counts: E x'Mx = tr(M (1 + G G')) = P.
+    # What M leaves of noise with a covariance of 1 + G G' is one for each entry: tr(M (1 + G G')) = P. Of noise with
+    # the variances V, tr(M (V + G G')) = P - tr(M (1 - V)).
     misfit = np.einsum("rk,rk->r", found, one(found))
-    expected = counted.sum()
-    assert misfit.mean() == pytest.approx(expected, abs=5.0 * math.sqrt(2.0 * expected / number))
+    left = one(np.eye(len(expected)))
+    of_misfit = len(expected) - float(np.diag(left) @ (1.0 - expected))
+    assert misfit.mean() == pytest.approx(of_misfit, abs=5.0 * math.sqrt(2.0 * of_misfit / number))
 
 
 # ---- the simulator ---------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ LAYOUT = Layout((Group("ratio", "x", "mean", (0.0, 1.0, 2.0, 3.0)),), (), (), ()
 
 
 def base(sd: list[float], used: list[bool]) -> Any:
-    return SimpleNamespace(sd={"c0": np.array(sd)}, used={"c0": np.array(used)}, least={"c0": np.zeros(3)})
+    return SimpleNamespace(sd={"c0": np.array(sd)}, used={"c0": np.array(used)}, independent={"c0": np.zeros(3)})
 
 
 def test_twice_the_scatter_costs_two_ln_two_an_entry_that_counts() -> None:

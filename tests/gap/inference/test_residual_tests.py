@@ -11,8 +11,6 @@ from scipy.stats import chi2
 
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.residual_tests import ResidualTest, residual_test
-from torchweather.gap.inference.simulated_distribution import Whitening
-from torchweather.gap.inference.systematics import Systematics
 from torchweather.gap.statistics.frame_statistics import Group, Layout
 
 RNG = np.random.default_rng
@@ -100,38 +98,20 @@ def test_one_condition_has_nothing_in_common() -> None:
     )
 
 
-def test_shares_and_counts_scatter_as_simulated_frames_do_with_a_margin() -> None:
-    """A count at a third of the scatter that is stated, a share at all of it, one of what never happens, and a mean,
-    which is believed as it is stated."""
-    names, draws = ("c0", "c1"), 4000
-    scatter = np.repeat([1.0, 1.0 / 3.0, 1.0 / 3.0, 0.0], 3)
+def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
+    """Of a statistic in which hardly anything can happen it is less, down to a least level."""
+    names = ("c0", "c1")
+    each = np.repeat([1.0, 0.5, 0.25, 0.0], 3)
     used = {name: np.ones(12, bool) for name in names}
     used["c1"][0] = False
     base: Any = SimpleNamespace(
-        base=SimpleNamespace(
-            draws={name: 7.0 + scatter * RNG(k).normal(size=(draws, 12)) for k, name in enumerate(names)},
-            mean={name: np.full(12, 7.0) for name in names},
-            used=used,
-            whitening=Whitening(np.eye(12)),
-        ),
-        nuisance=Systematics(np.zeros((24, 1)), np.zeros(1), 1),
+        base=SimpleNamespace(expected={"c0": each, "c1": np.where(each == 0.5, 0.25, each)}, used=used)
     )
     search: Any = SimpleNamespace(
         model=SimpleNamespace(layout=LAYOUT),
         measured=[SimpleNamespace(condition=SimpleNamespace(id=name)) for name in names],
-        seed=0,
-        whitened=lambda _, parts: np.where(np.concatenate([used[name] for name in names]), np.concatenate(parts), 0.0),
     )
     found = residual_test(search, base, 1.6)
     np.testing.assert_array_equal(found.places, ENTRIES)
     np.testing.assert_array_equal(found.counted, [5, 6, 6, 6])
-    # 24,000 numbers: a variance is known to 5 x sqrt(2 / 24,000) = 4.6 %.
-    expected = 1.6 * np.array(
-        [
-            1.0,
-            METHOD.count_variance_ratio[0] + METHOD.count_variance_ratio[1] / 9.0,
-            1.0,
-            METHOD.count_variance_ratio[0],
-        ]
-    )
-    np.testing.assert_allclose(found.noise, expected, rtol=0.04)
+    np.testing.assert_allclose(found.noise, 1.6 * np.array([1.0, 0.375, 0.25, METHOD.least_level]), rtol=1e-12)

@@ -97,7 +97,7 @@ def base(mean: float = 0.0) -> SimulatedDistribution:
     one = dict.fromkeys(SCENES, ones)
     twice, nothing = dict.fromkeys(SCENES, 2.0 * ones), dict.fromkeys(SCENES, 0.0 * ones)
     return SimulatedDistribution(
-        each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {}, {}, nothing
+        each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {}, {}, nothing, one
     )
 
 
@@ -343,8 +343,7 @@ def test_first_counts_of_what_there_was_nothing_of_widen_nothing() -> None:
     """A likelihood counts the logarithm of a scatter; of shares and counts up to that of counting it does not."""
     search, there = bare(), base()
     counts = np.isin(np.arange(SIZE), (7, 8, 11))  # "lost" and "many"
-    least = dict.fromkeys(SCENES, np.where(counts, 1.0, 0.0))
-    search.start = replace(base(), least=least)
+    search.start = replace(base(), independent=dict.fromkeys(SCENES, np.where(counts, 2.0, 0.0)))
     for factor, wider in ((1.5, 0.0), (2.0, 0.0), (3.0, math.log(3.0 / 2.0))):
         sd = {name: np.where(counts, factor, 1.0) for name in SCENES}
         # Three entries of three conditions.

@@ -287,16 +287,7 @@ def test_what_is_between_frames_needs_three_of_them_and_persistence_two() -> Non
     assert np.isfinite(pool.vectors(np.array([[0]]))).all()
 
 
-@pytest.mark.parametrize("number", [3, 6, 12])
-def test_a_spread_between_few_frames_scatters_as_that_of_normal_values_does(number: int) -> None:
-    layout = Layout((), ("it",), (STEADY,), ())
-    pool = Pool(layout, reduced(np.zeros((5, 0)), scalar=np.zeros((5, 1)), maps=np.zeros((5, 0, 1))))
-    drawn = np.log(np.random.default_rng(number).normal(size=(40_000, number)).std(1, ddof=1))
-    # 40,000 draws of a skewed law: 2 %.
-    assert pool.least_scatter(number)[0] == pytest.approx(drawn.std(), rel=0.03)
-
-
-def test_the_least_scatter_lies_below_that_of_independent_elements() -> None:
+def test_the_scatter_of_independent_elements_is_that_of_their_law() -> None:
     number, weight, sd = 4, 100.0, 2.0
     frames = reduced(np.full(3, weight), np.zeros(3), np.full(3, weight * sd**2))
     elements = number * weight
@@ -306,8 +297,8 @@ def test_the_least_scatter_lies_below_that_of_independent_elements() -> None:
         ("mean", sd / math.sqrt(elements)),
         ("spread", 1.0 / math.sqrt(2.0 * elements)),
     ):
-        found = float(Pool(one_bin(kind), frames).least_scatter(number)[0])
-        assert 0.4 * closed < found < closed
+        found = float(Pool(one_bin(kind), frames).independent_scatter(number)[0])
+        assert found == pytest.approx(closed, rel=1e-12)
 
 
 @pytest.mark.parametrize("number", [2, 20])
@@ -318,26 +309,10 @@ def test_no_number_of_frames_tells_more_of_what_each_element_has_in_all_of_them(
     frames = reduced(np.full(3, weight), np.zeros(3), np.full(3, 1e-6 * weight))
     layout = Layout((Group("it", "x", "mean", (0.0, 1.0), known_to),), (), (), ())
     # 20,000 draws: 0.5 %.
-    assert float(Pool(layout, frames).least_scatter(number)[0]) == pytest.approx(off.mean(1).std(), rel=0.02)
+    assert float(Pool(layout, frames).known_to(number)[0]) == pytest.approx(off.mean(1).std(), rel=0.02)
     # What is no longer a whole one a frame is known no better than one is.
     few = reduced(np.full(3, 0.1), np.zeros(3), np.full(3, 1e-7))
-    assert float(Pool(layout, few).least_scatter(number)[0]) == pytest.approx(known_to, rel=1e-3)
-
-
-@pytest.mark.parametrize(("share", "expected"), [(0.5, "one"), (0.2, "one"), (0.0, "counting")])
-def test_a_share_scatters_no_more_than_one_element_that_changes_in_half_of_the_frames(
-    share: float, expected: str
-) -> None:
-    number, weight = 4, 400.0
-    frames = reduced(np.full(3, weight), np.full(3, share * weight), np.full(3, share * weight))
-    found = float(Pool(one_bin("share"), frames).least_scatter(number)[0])
-    if expected == "one":
-        value, total = share * number * weight, number * weight
-        entries = [math.asin(math.sqrt((value + by + 0.375) / (total + 0.75))) for by in (-0.5 * number, 0.5 * number)]
-        # By how much half an element a frame changes the entry; the weight is that with 3/4 of an element more.
-        assert found == pytest.approx(0.5 * (entries[1] - entries[0]), rel=2e-3)
-    else:
-        assert found == pytest.approx(0.25 / math.sqrt(number * weight), rel=1e-12)
+    assert float(Pool(layout, few).known_to(number)[0]) == pytest.approx(known_to, rel=1e-3)
 
 
 def particles(kind: str, values: Any, weight: Any) -> Pool:
@@ -350,40 +325,39 @@ def particles(kind: str, values: Any, weight: Any) -> Pool:
 def test_misplaced_particles_make_counts_uncertain_by_what_crosses_the_edges() -> None:
     """Of 100 particles in each bin 3 may belong to either side, and as many may come from each side."""
     pool = particles("count", [100.0] * 4, [1.0] * 4)
-    plain, wider = pool.least_scatter(1), pool.least_scatter(1, 0.03)
+    assert not pool.known_to(1).any()
     crossing = np.array([6.0, 9.0, 9.0, 6.0])  # own ones, and those of the bins beside
     expected = np.sqrt(100.375 + 0.5 * crossing) - np.sqrt(100.375 - 0.5 * crossing)
-    np.testing.assert_allclose(np.sqrt(wider**2 - plain**2), expected, rtol=0.01)
+    np.testing.assert_allclose(pool.known_to(1, 0.03), expected, rtol=0.01)
 
 
 def test_a_bin_beside_a_full_one_knows_nothing() -> None:
     pool = particles("count", [1000.0, 0.0, 0.0], [1.0] * 3)
-    added = np.sqrt(pool.least_scatter(1, 0.03) ** 2 - pool.least_scatter(1) ** 2)
+    added = np.sqrt(pool.known_to(1, 0.03) ** 2 - pool.known_to(1) ** 2)
     assert added[1] == pytest.approx(0.5 * math.sqrt(0.375), rel=1e-9)  # all of it
     assert added[2] == pytest.approx(0.5 * 0.03 * math.sqrt(0.375), rel=1e-9)
 
 
 def test_misplaced_particles_move_shares_and_means_of_their_bins() -> None:
     shares = particles("share", [40.0] * 3, [100.0] * 3)
-    added = np.sqrt(shares.least_scatter(1, 0.03) ** 2 - shares.least_scatter(1) ** 2)
+    added = shares.known_to(1, 0.03)
     inside = 40.375 / 100.75
     expected = [abs(math.asin(math.sqrt(inside - part)) - math.asin(math.sqrt(inside))) for part in (0.06, 0.09, 0.06)]
     np.testing.assert_allclose(added, expected, rtol=1e-6)
     means = particles("mean", [40.0] * 3, [100.0] * 3)
-    added = np.sqrt(means.least_scatter(1, 0.03) ** 2 - means.least_scatter(1) ** 2)
+    added = means.known_to(1, 0.03)
     np.testing.assert_allclose(added, [0.06, 0.09, 0.06], rtol=1e-6)
 
 
 def test_the_spread_of_misplaced_particles_is_known_to_a_fifth() -> None:
     """As their readings are the largest of several; where none is misplaced it is known as others are."""
     pool = particles("spread", [0.0] * 3, [100.0] * 3)
-    added = np.sqrt(pool.least_scatter(1, 0.03) ** 2 - pool.least_scatter(1) ** 2)
+    added = np.sqrt(pool.known_to(1, 0.03) ** 2 - pool.known_to(1) ** 2)
     np.testing.assert_allclose(added, np.hypot([0.06, 0.09, 0.06], METHOD.log_read_spread_error), rtol=1e-6)
     assert METHOD.log_read_spread_error == 0.2
-    # Half as independent as they look, and no spread better than to 3 %.
-    np.testing.assert_allclose(pool.least_scatter(1), math.hypot(0.5 * math.sqrt(0.5 / 100.0), 0.03), rtol=1e-9)
+    np.testing.assert_allclose(pool.known_to(1), METHOD.log_spread_error, rtol=1e-9)  # no spread better than to 3 %
 
 
 def test_only_what_lies_along_the_range_of_particles_is_misplaced() -> None:
     pool = Pool(one_bin("count"), reduced(np.ones(3), np.full(3, 100.0), np.full(3, 100.0)))
-    np.testing.assert_array_equal(pool.least_scatter(2, 0.5), pool.least_scatter(2))
+    np.testing.assert_array_equal(pool.known_to(2, 0.5), pool.known_to(2))

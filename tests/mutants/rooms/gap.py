@@ -170,4 +170,20 @@ MUTANTS = (
         "if one.split == split)",
         ("tests/gap/study/test_study.py::test_fit_and_holdout_are_the_conditions_by_split",),
     ),
+    Mutant(
+        "clear_frames_known_without_error",
+        "the error of a few clear frames is in the scatter",
+        "torchweather.gap.inference.calibrated_scatter",
+        "of_clear[part] = noise * told_by_clear[part] * number / clear",
+        "of_clear[part] = 0.0 * noise",
+        ("tests/gap/test_null_calibration.py::test_a_perfect_model_departs_by_what_is_stated",),
+    ),
+    Mutant(
+        "frames_scatter_by_twice",
+        "no scatter is made larger for safety",
+        "torchweather.gap.inference.calibrated_scatter",
+        "own[part] = np.maximum(noise, components.within[part])",
+        "own[part] = 2.0 * np.maximum(noise, components.within[part])",
+        ("tests/gap/test_null_calibration.py::test_a_perfect_model_departs_by_what_is_stated",),
+    ),
 )

@@ -17,9 +17,6 @@ class InferenceConfig:
 
     # ---- Global test ----
     null_draws: int = 1000  # draws of the null distribution of the largest delta chi-square
-    # Departures of a measurement are not quite Gaussian, and the simulator is not quite the sensor: ratio of their
-    # variance to that of the noise model.
-    overdispersion: float = 1.5
     departures: int = 4  # patterns that are looked at; the chance of an alarm is that of any of them
     refined_share: float = 0.25  # of the largest delta chi-square, from which a whole response curve is simulated
 
@@ -72,23 +69,29 @@ class InferenceConfig:
     start_steps_far: tuple[float, ...] = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # where the identity is infinite
     location_frames: int = 6  # of each condition, for one trial of the location search
     location_widths_rad: tuple[float, ...] = (0.03, 0.1, 0.3)
+    location_range_shares: tuple[float, ...] = (0.76, 0.87, 1.0, 1.15, 1.32)  # a cell of the map is an octave deep
 
     # ---- Residual tests, held-out conditions, clear air ----
     sensitive_rms: float = 1.0  # change of a statistic, in its scatter, from which it counts as sensitive
-    # Least variance of shares and counts over the stated one; and the same over that of simulated frames, which all
-    # start from the same clear frames.
-    count_variance_ratio: tuple[float, float] = (0.3, 2.5)
     floor_draws: int = 200  # of the gap that noise alone makes
     clear_frames_min: int = 4  # for a test of clear air
     clear_splits: int = 400  # of the clear frames into halves
 
     # ---- Scatter of statistics ----
-    few_counts_scatter: float = 0.25  # least scatter of a stabilised count, half of that of many counts
+    jeffreys_events: float = 0.5  # events that a prior of a rate stands for (Jeffreys 1946)
+    counting_prior_frames: float = 5.0  # that the law of counting weighs beside what simulated frames show
+    unseen_events: float = 0.5  # of independent elements, taken for granted where a statistic shows none
+    # Standard deviations that one event more is at most, however alike simulated frames are: what the deviance of a
+    # Poisson law says of one event where 0.05 were expected.
+    one_event_sd: float = 2.2
+    well_may_be_sd: float = 2.0  # standard deviations of an estimated variance above it, where it is small
+    quantiles: int = 2000  # of a distribution, over which a mean is taken
+    most_unsure: float = 1.0  # relative variance of an estimated variance, up to which it is allowed for
+    least_level: float = 0.05  # expected mean square of a statistic, below which it is not taken
     log_spread_error: float = 0.03  # relative error of a modelled standard deviation
     # The same for particles whose range the model may misplace: the largest of several readings scatters less than
     # one, by as much as a receiver makes them independent (18 % were found).
     log_read_spread_error: float = 0.2
-    independent_share: float = 0.5  # of the scatter of independent elements
     persistence_rel_error: float = 0.01  # of a persistent pattern of dense weather
     linear_step: float = 1e-4  # of a departure, within which entries are linear
     weather_mean_rel_error: float = 0.005  # of the change of a mean by weather: two codes of one physics differ so

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.gap.statistics.counting import ANSCOMBE
 from torchweather.gap.statistics.formula import bounded
-from torchweather.gap.statistics.frame_statistics import ANSCOMBE, Group, Layout
+from torchweather.gap.statistics.frame_statistics import Group, Layout
 from torchweather.lidar.effects.empirical import Empirical
 
 __all__ = ["Departures", "NaturalCurve", "empirical_stage", "natural_curve"]

@@ -225,12 +225,12 @@ def _rounds(
         if len(rounds) == 1:
             # While the responses around the base still say something: pairs of any two.
             templates = _beside(search, global_test)
-            gain = (
-                pair_delta_chi2(templates, base.nuisance.left(base.residual), base.nuisance)
-                if templates
-                else np.zeros((0, 0))
-            )
-            pairs = best_pairs(templates, gain, search.origin, best.gain + max(least, ADDED_SHARE * explained))
+            if templates:
+                residual = base.nuisance.left(base.residual)
+                gain = pair_delta_chi2(templates, residual, base.nuisance)
+                # Responses are compared with responses: a single that was fitted may have bent a nuisance to its end.
+                alone = float(delta_chi2(templates, residual[None], base.nuisance).max())
+                pairs = best_pairs(templates, gain, search.origin, alone + threshold)
         fresh, proposed = _on_top(search, remaining, best, least, threshold, sure)
         if pairs:
             proposed = [*(proposed or _best_on_top(best, remaining)), *pairs]

@@ -22,7 +22,7 @@ from torchweather.gap.inference.simulated_distribution import SimulatedDistribut
 from torchweather.gap.inference.starting_points import PLACES, parameter_grids
 from torchweather.pipeline.effect import Effect
 
-__all__ = ["GlobalTest", "overdispersion", "counted_entries", "located_templates", "run_global_test"]
+__all__ = ["GlobalTest", "overdispersion", "counted_entries", "expected_square", "located_templates", "run_global_test"]
 
 Floats = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
     misfit = nuisance.misfit(residual)
     counted = counted_entries(search)
     p_gain = _tail(best_null, float(gain.max()))
-    p_misfit = _tail(misfit_null * (1.0 + (overdispersion(search) - 1.0) * 0.5), misfit)
+    p_misfit = _tail(misfit_null * overdispersion(search), misfit)
     each = residual_test(search, base, overdispersion(search))
     p_common = min(1.0, METHOD.departures * each.common_p_value(left))
     p_value = min(p_common, METHOD.departures * min(p_gain, p_misfit, each.p_value(left)))
@@ -136,15 +136,24 @@ def azimuths(search: SimulatorLikelihood, base: SimulatedDistribution) -> list[f
 
 
 def overdispersion(search: SimulatorLikelihood) -> float:
-    """How much larger in square the noise is taken than stated: the fewer clear frames tell it, the more."""
+    """Mean of the square of a departure over its stated variance, where that is known from so many clear frames alone:
+    Student's law, ``v / (v - 2)`` for v degrees of freedom, to first order, as the noise of elements is known better.
+    """
     clear = {target.condition.scene: target.clear_frames for target in search.measured}
     degrees = max(sum(clear.values()) - len(clear), 1)
-    return METHOD.overdispersion * (1.0 + 2.0 / degrees)
+    return 1.0 + 2.0 / degrees
 
 
 def counted_entries(search: SimulatorLikelihood) -> int:
     """Number of statistics that hold enough to count, over all conditions."""
     return int(sum(search.start.used[target.condition.id].sum() for target in search.measured))
+
+
+def expected_square(search: SimulatorLikelihood) -> float:
+    """Summed squares that noise alone makes of a departure, over all conditions: less than the number of statistics, as
+    in some of them hardly anything can happen."""
+    start = search.start
+    return float(sum((start.expected[t.condition.id] * start.used[t.condition.id]).sum() for t in search.measured))
 
 
 def _tail(null: Floats, value: float) -> float:

@@ -34,7 +34,7 @@ from torchweather.gap.inference.simulated_distribution import (
 from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.gap.inference.systematics import Systematics, together
 from torchweather.gap.statistics.frame_random_effects import clear_errors, clear_means, frame_departures, model_errors
-from torchweather.gap.statistics.frame_statistics import COUNTED, COUNTING, TINY, Pool
+from torchweather.gap.statistics.frame_statistics import COUNTED, TINY, Pool
 from torchweather.pipeline.effect import Effect
 
 __all__ = ["Fit", "SimulatorLikelihood", "ParameterPoint"]
@@ -157,7 +157,9 @@ class SimulatorLikelihood:
             log_intensity = point.log_intensity.get(name, 0.0)
             stages = [*effects, *self.model.systematics(target.condition, point.open)]
             reduced = self.model.simulated(target.condition, stages, log_intensity, seeds, portions)
-            found[name] = Pool(self.model.layout, reduced)
+            # In portions each frame has several rows, which are not looked at by the frame that they started from.
+            begun = np.array(seeds) % target.clear_frames if portions == 1 else None
+            found[name] = Pool(self.model.layout, reduced, begun)
 
         side_by_side([partial(simulate, place, target) for place, target in enumerate(self.measured)])
         self.simulated_frames += number * len(self.measured)
@@ -166,10 +168,7 @@ class SimulatorLikelihood:
     def at(self, point: ParameterPoint) -> SimulatedDistribution:
         """The distribution of the vectors at a point; whitened as the model without effects is."""
         pools = self.pools(point, self.pool_frames)
-        scatters = any(effect_class(self.model, effect).scatters for effect in point.values)
-        found = simulated_distribution(
-            pools, self.measured, self.noise, getattr(self, "start", None), self.seed, scatters
-        )
+        found = simulated_distribution(pools, self.measured, self.noise, getattr(self, "start", None), self.seed)
         unmodelled = {name for effect in point.values for name in effect_class(self.model, effect).unmodelled}
         return self._loosened(found, unmodelled) if unmodelled else found
 
@@ -275,8 +274,8 @@ class SimulatorLikelihood:
         """Departures ``(R, C P)`` of a measurement without a missing effect: noise of every entry, and the nuisances
         off by random draws."""
         generator = np.random.default_rng([seed, 15485863])
-        counted = np.concatenate([self.start.used[target.condition.id] for target in self.measured])
-        noise = generator.normal(size=(number, len(counted))) * counted
+        expected = np.concatenate([self.start.expected[name] * self.start.used[name] for name in self._names])
+        noise = generator.normal(size=(number, len(expected))) * np.sqrt(expected)
         found: Floats = noise + nuisance.drawn(generator, number)
         return found
 
@@ -553,7 +552,7 @@ class SimulatorLikelihood:
         for target in self.measured:
             name = target.condition.id
             used = self.start.used[name] & base.used[name]
-            free = np.where(counts, COUNTING / METHOD.few_counts_scatter * self.start.least[name], 0.0)
+            free = np.where(counts, self.start.independent[name], 0.0)
             wider = np.maximum(base.sd[name], free) / np.maximum(self.start.sd[name], free)
             total += 2.0 * float(np.log(wider[used]).sum())
         return total

@@ -42,9 +42,10 @@ def standing_grids(
         total += np.sqrt(measured + ANSCOMBE) - np.sqrt(simulated + ANSCOMBE)
     azimuth_rad, range_m = cells[int(total.argmax())]
     return [
-        ParameterGrid(one, ({"azimuth_rad": azimuth_rad, "range_m": range_m, "width_rad": width},))
+        ParameterGrid(one, ({"azimuth_rad": azimuth_rad, "range_m": range_m * share, "width_rad": width},))
         for one in fitting
         for width in METHOD.location_widths_rad
+        for share in METHOD.location_range_shares
     ]
 
 

@@ -1,9 +1,8 @@
 """What is left, statistic by statistic: a departure of a few entries is not drowned in the noise of all others.
 
 Of each statistic along each axis the squares of its whitened entries are held against those of noise, and so is the
-pattern that all conditions have in common: what acts alike in each of them is a few numbers there. Stated scatters
-have a least value; of shares and counts of what hardly ever happens, simulated frames show how much less they scatter,
-and that is taken (``METHOD.count_variance_ratio``), with a margin.
+pattern that all conditions have in common: what acts alike in each of them is a few numbers there. Of shares and counts
+of what hardly ever happens the expected square is taken (``SimulatedDistribution.expected``).
 
 References:
     GAP.md 3 (7): look at the groups of statistics that the effects leave unchanged.
@@ -20,7 +19,6 @@ from scipy.stats import chi2
 
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
-from torchweather.gap.statistics.frame_statistics import COUNTED
 
 __all__ = ["ResidualTest", "residual_test"]
 
@@ -49,6 +47,10 @@ class ResidualTest:
     def squares(self, left: Floats) -> Floats:
         """Summed squares ``(G,)`` of what is left ``(C P,)``."""
         return self._summed((left.reshape(self.used.shape) ** 2).sum(0))
+
+    def mean_square(self, expected: Floats) -> Floats:
+        """Mean ``(G,)`` of squares ``(C, P)`` over the entries that count."""
+        return self._summed(expected.sum(0)) / np.maximum(self.counted, 1.0)
 
     def p_value(self, left: Floats) -> float:
         """Probability that noise leaves as much in the group that departs most, of as many groups as there are."""
@@ -88,16 +90,6 @@ def residual_test(search: SimulatorLikelihood, base: Fit, overdispersion: float)
     groups, names = search.model.layout.groups, [target.condition.id for target in search.measured]
     places = np.repeat(np.arange(len(groups)), [group.bins for group in groups])
     found = ResidualTest(places, np.stack([base.base.used[name] for name in names]), np.ones(len(groups)))
-    # Vectors that the simulator draws, those of one condition independent of another's.
-    draws = [base.base.draws[name] - base.base.mean[name] for name in names]
-    number = min(len(one) for one in draws)
-    order = [np.random.default_rng([search.seed, place, 32452843]).permutation(number) for place in range(len(names))]
-    mixed = zip(*(one[shuffled] for one, shuffled in zip(draws, order, strict=True)), strict=True)
-    whitened = base.nuisance(np.stack([search.whitened(base.base, list(one)) for one in mixed]))
-    drawn = found.squares(np.sqrt((whitened**2).mean(0))) / np.maximum(found.counted, 1.0)
-    level = np.where(
-        [group.kind in COUNTED for group in groups],
-        np.minimum(METHOD.count_variance_ratio[0] + METHOD.count_variance_ratio[1] * drawn, 1.0),
-        1.0,
-    )
-    return replace(found, noise=overdispersion * level)
+    expected = np.stack([base.base.expected[name] for name in names]) * found.used
+    level = found.mean_square(expected)
+    return replace(found, noise=overdispersion * np.maximum(level, METHOD.least_level))

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from torchweather.gap.inference.calibrated_scatter import MeasuredSize, calibrated_scatter
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.statistics.frame_statistics import TINY, Layout, Pool, Reduced
 from torchweather.gap.study.conditions import Condition
@@ -205,9 +206,11 @@ class SimulatedDistribution:
         used: condition to ``(P,)`` entries that count.
         whitening: common to all conditions.
         draws: condition to ``(DRAWS, P)`` vectors of the simulator itself.
-        least: condition to ``(P,)`` scatter that each entry has at least.
+        independent: condition to ``(P,)`` scatter that each entry would have if its elements were independent.
         shared: condition to ``(P,)`` what the error of its scene's clear mean adds, in units of ``sd``: it is the same
             one for all conditions of the scene (``search.py``).
+        expected: condition to ``(P,)`` mean square of a departure by noise, in units of ``total``: 1, and less where
+            hardly anything can happen.
     """
 
     mean: Mapping[str, Floats]
@@ -216,8 +219,9 @@ class SimulatedDistribution:
     used: Mapping[str, NDArray[np.bool_]]
     whitening: Whitening
     draws: Mapping[str, Floats]
-    least: Mapping[str, Floats]
+    independent: Mapping[str, Floats]
     shared: Mapping[str, Floats]
+    expected: Mapping[str, Floats]
 
     def whitened(self, name: str, difference: Floats) -> Floats:
         """Whitened difference of vectors ``(..., P)``; entries that do not count are 0."""
@@ -237,7 +241,6 @@ def simulated_distribution(
     noise: ElementNoise,
     start: SimulatedDistribution | None,
     seed: int,
-    scatters: bool = False,
 ) -> SimulatedDistribution:
     """The distribution of the vectors that pools of simulated frames give.
 
@@ -248,49 +251,49 @@ def simulated_distribution(
         start: the model without effects, whose whitening is kept; ``None`` where this is it. The noise of elements is
             its noise, and grows as the elements' own spread does.
         seed: of the draws.
-        scatters: whether whole frames differ by more than those of the start; what they do to means is then scatter
-            of each.
     """
-    means, sds, owns, totals, used, draws, spreads, shared = {}, {}, {}, {}, {}, {}, {}, {}
     layout = next(iter(pools.values())).layout
-    shares, averages = layout.each(lambda group: group.kind == "share"), layout.averages
-    by_chance = layout.each(lambda group: group.statistic in layout.from_clear)
-    of_spread = by_chance & layout.each(lambda group: group.kind in ("spread", "mean"))
-    for number, target in enumerate(measured):
-        name, pool, n = target.condition.id, pools[target.condition.id], target.frames
-        generator = np.random.default_rng([seed, number])
-        count = len(pool)
-        index = np.argsort(generator.random((METHOD.distribution_draws, count)), 1)[:, : min(n, count)]
-        vectors = pool.vectors(index, target.condition.time_s)
-        mean, spread = vectors.mean(0), vectors.std(0, ddof=1)
-        # Draws without replacement from a finite pool scatter less; the mean of the pool has an error of its own.
-        pooled = min(n / count, 0.5)
-        least = pool.least_scatter(n, target.misplaced)
-        few = of_spread & (target.clear_frames < METHOD.frames_for_spread)
-        tell = np.where(few, 1, target.clear_frames)  # frames that tell what is in clear air
-        spreads[name] = least = np.where(few, least / METHOD.independent_share, least)
-        grown = 1.0 if start is None else np.maximum(least / np.maximum(start.least[name], TINY), 1.0)
-        elements = np.where(few, least, noise.scatter[name] * np.where(averages, grown, 1.0))
-        least = np.maximum(least, np.where(shares, 0.0, elements))
-        drawn = spread**2 / (1.0 - pooled)
-        own = np.sqrt(np.maximum(drawn, least**2))
-        # Shares of a scene's own beams are no samples of others, but the few clear frames' noise is in all of them.
-        of_clear = np.where(shares | averages | by_chance, n / tell, 0.0)
-        totals[name] = own * np.sqrt(1.0 + pooled + of_clear)
-        # Whole frames move means by a clock or a scale far more than the noise of elements does, and all together.
-        owns[name] = np.where(averages, least, own)
-        frames_apart = np.zeros_like(own)
-        if scatters and start is not None:
-            frames_apart = np.maximum(drawn - start.draws[name].var(0, ddof=1) / (1.0 - pooled), 0.0)
-        each = np.where(averages, np.sqrt(least**2 + frames_apart), own)
-        sds[name] = np.where(averages | by_chance, each * math.sqrt(1.0 + pooled), totals[name])
-        common = np.where(averages, elements, own) * np.sqrt(n / tell)
-        shared[name] = np.where(averages | by_chance, common / np.maximum(sds[name], TINY), 0.0)
-        means[name], draws[name] = mean, vectors
-        used[name] = target.enough & pool.enough(n)
+    independent = {t.condition.id: pools[t.condition.id].independent_scatter(t.frames) for t in measured}
+    elements = {}
+    # Two frames about their mean differ alike in either order: the scatter of such squares is that of their law.
+    of_squares = layout.each(
+        lambda group: (
+            (group.statistic in layout.from_clear and group.kind in ("spread", "mean"))
+            or group.statistic in layout.about_clear_mean
+        )
+    )
+    for target in measured:
+        name = target.condition.id
+        few = of_squares & (target.clear_frames < METHOD.frames_for_spread)
+        before = independent[name] if start is None else start.independent[name]
+        grown = np.where(layout.averages, np.maximum(independent[name] / np.maximum(before, TINY), 1.0), 1.0)
+        alike = math.sqrt(squares_about_clear_mean(target.frames, target.clear_frames))
+        elements[name] = np.where(few, independent[name] * alike, noise.scatter[name] * grown)
+    sizes = {t.condition.id: MeasuredSize(t.frames, t.clear_frames, t.condition.time_s, t.misplaced) for t in measured}
+    found = calibrated_scatter(pools, sizes, elements, seed)
+    sds, owns, totals, used, shared = {}, {}, {}, {}, {}
+    for target in measured:
+        name = target.condition.id
+        one = found[name]
+        clear = np.where(one.shared, one.clear, 0.0)
+        apart = one.own + one.simulated + (one.clear - clear)
+        sds[name], owns[name] = np.sqrt(np.maximum(apart, TINY**2)), np.sqrt(np.maximum(one.own, TINY**2))
+        totals[name] = np.sqrt(np.maximum(apart + clear, TINY**2))
+        shared[name] = np.sqrt(clear / np.maximum(apart, TINY**2))
+        used[name] = target.enough & pools[name].enough(target.frames) & (apart > TINY**2)
     # The clear frames' noise is that of the same elements: it goes together as the frames' own does.
     whitening = Whitening.of(noise, owns) if start is None else start.whitening
-    return SimulatedDistribution(means, sds, totals, used, whitening, draws, spreads, shared)
+    return SimulatedDistribution(
+        mean={name: one.mean for name, one in found.items()},
+        sd=sds,
+        total=totals,
+        used=used,
+        whitening=whitening,
+        draws={name: one.draws for name, one in found.items()},
+        independent=independent,
+        shared=shared,
+        expected={name: one.expected for name, one in found.items()},
+    )
 
 
 def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]) -> ElementNoise:
@@ -306,11 +309,14 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
     layout = next(iter(portioned.values())).layout
     about_own = layout.each(lambda group: group.statistic in layout.about_own_mean)
     averages = layout.averages & ~about_own
+    about_clear = layout.each(lambda group: group.statistic in layout.about_clear_mean)
     for target in measured:
         name, clear = target.condition.id, target.clear_frames
         apart = portioned[name].element_noise(METHOD.portions, target.frames, clear)
         # Departures from the mean of the other clear frames are larger than those from the mean of all.
-        apart *= np.where(averages, (clear - 1) / clear if clear > 1 else 1.0, 1.0)
+        apart *= np.where(averages & ~about_clear, (clear - 1) / clear if clear > 1 else 1.0, 1.0)
+        apart *= np.where(about_clear, math.sqrt(squares_about_clear_mean(target.frames, clear)), 1.0)
+        apart *= np.sqrt(layout.each(lambda group: layout.scatter_share.get(group.statistic, 1.0)))
         apart *= np.where(about_own, math.sqrt(squares_go_together(min(target.frames, clear), clear)), 1.0)
         scatter[name] = np.sqrt((apart**2).sum(1).mean(0))
         unit = apart / np.where(scatter[name] > 0, scatter[name], 1.0)
@@ -318,6 +324,19 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
         total += unit.T @ unit / len(apart)
     spread = np.sqrt(np.diag(total))
     return ElementNoise(scatter, total / np.maximum(np.outer(spread, spread), 1e-12))
+
+
+def squares_about_clear_mean(frames: int, clear: int) -> float:
+    """Variance of a mean of squares of so many frames about the mean of K clear ones, over that of independent ones.
+
+    Each departure has 1/K of its variance from the common mean, so two of them correlate by 1/K, their squares by
+    ``1/K^2``; more than K frames lie about means of other clear frames.
+
+    Example:
+        >>> squares_about_clear_mean(2, 2), squares_about_clear_mean(6, 8)
+        (1.25, 1.078125)
+    """
+    return 1.0 + (min(frames, clear) - 1) / clear**2
 
 
 def squares_go_together(together: int, clear: int) -> float:

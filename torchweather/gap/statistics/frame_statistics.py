@@ -20,15 +20,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import polygamma
 
 from torchweather.gap.inference.config import METHOD
+from torchweather.gap.statistics.counting import ANSCOMBE
 
 __all__ = [
     "COUNTED",
@@ -46,10 +46,8 @@ Floats = NDArray[np.float64]
 
 FEWEST = {"share": 20.0, "mean": 12.0, "spread": 30.0}
 """Least weight in a bin, over all frames of a condition, for which its entry counts."""
-ANSCOMBE = 3.0 / 8.0
 COUNTED = ("share", "count")  # kinds whose stated scatter is that of counting
 COUNTING = 0.5  # scatter of a stabilised count
-LEAST = {"between": 0.2, "persistence": 0.1}
 PARTICLE_AXIS = "particle_range_m"
 TINY = 1e-12
 
@@ -96,6 +94,8 @@ class Layout:
             tell: their error is one and the same in all conditions of a scene.
         about_own_mean: means of squares about an element's own mean over the frames: those of different frames go
             together.
+        about_clear_mean: squares, or products of two elements, about the mean of the clear frames.
+        scatter_share: statistics whose variance is not what portions, or simulated frames, tell: its ratio to that.
     """
 
     binned: tuple[Group, ...]
@@ -104,6 +104,8 @@ class Layout:
     maps: tuple[str, ...]
     from_clear: tuple[str, ...] = ()
     about_own_mean: tuple[str, ...] = ()
+    about_clear_mean: tuple[str, ...] = ()
+    scatter_share: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def groups(self) -> tuple[Group, ...]:
@@ -177,10 +179,12 @@ class Pool:
     Args:
         layout: of the vector.
         frames: the reduced frames.
+        start: ``(F,)`` the clear frame that each started from; ``None``: each from one of its own.
     """
 
-    def __init__(self, layout: Layout, frames: Reduced) -> None:
+    def __init__(self, layout: Layout, frames: Reduced, start: NDArray[np.intp] | None = None) -> None:
         self.layout, self.frames = layout, frames
+        self.start = np.arange(len(frames)) if start is None else start
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -227,6 +231,26 @@ class Pool:
                 found[group.statistic] = value / whole, float((share**2 * noise[part]).sum())
         return found
 
+    def influence(self, number: int) -> Floats:
+        """What each frame ``(F, size)`` does to the vector of ``number`` frames; 0 of what is no sum over bins.
+
+        The infinitesimal jackknife: derivative of the entry by the frame's departure from the mean frame.
+        """
+        parts = [getattr(self.frames, name) for name in ("weight", "value", "square")]
+        found = np.zeros((len(self), self.layout.size))
+        start = 0
+        for group in self.layout.binned:
+            part = slice(start, start + group.bins)
+            start += group.bins
+            means = [values[:, part].mean(0) for values in parts]
+            here = [number * mean for mean in means]
+            moved = [
+                total + METHOD.linear_step * (values[:, part] - mean)
+                for total, values, mean in zip(here, parts, means, strict=True)
+            ]
+            found[:, part] = (_entry(group.kind, *moved) - _entry(group.kind, *here)) / METHOD.linear_step
+        return found
+
     def element_noise(self, portions: int, number: int, clear_frames: int) -> Floats:
         """Departures ``(frames, portions, size)`` of the vector of ``number`` frames by the noise of one portion of the
         elements alone: squared and summed over the portions, their mean over the frames is the noise of all elements.
@@ -262,38 +286,48 @@ class Pool:
             found[..., part] = (_entry(group.kind, *moved) - _entry(group.kind, *here)) / METHOD.linear_step
         return found
 
-    def least_scatter(self, number: int, misplaced: float = 0.0) -> Floats:
-        """Scatter ``(size,)`` that each entry has at least over ``number`` frames, however alike simulated ones are.
+    def independent_scatter(self, number: int) -> Floats:
+        """Scatter ``(size,)`` of the entries of ``number`` frames whose elements are independent of each other; 0 of
+        entries that are no sums over bins."""
+        weight, value, square = (getattr(self.frames, name).mean(0) * number for name in ("weight", "value", "square"))
+        found = np.zeros(self.layout.size)
+        start = 0
+        for group in self.layout.binned:
+            part = slice(start, start + group.bins)
+            start += group.bins
+            found[part] = _independent_scatter(group.kind, weight[part], value[part], square[part])
+        return found
+
+    def known_to(self, number: int, misplaced: float = 0.0) -> Floats:
+        """Standard deviation ``(size,)`` to which a model of the sensor is known, however many frames there are.
 
         Args:
             number: of frames.
             misplaced: share of the particles that the model may put into a neighbouring bin of range.
         """
-        weight, value, square = (getattr(self.frames, name).mean(0) * number for name in ("weight", "value", "square"))
+        weight, value = (getattr(self.frames, name).mean(0) * number for name in ("weight", "value"))
         found = []
         start = 0
         for group in self.layout.groups:
             if group.kind == "persistence":
                 pattern = self.frames.maps[:, self.layout.maps.index(group.statistic)].mean(0)
                 known = METHOD.persistence_rel_error * float(np.sqrt((pattern**2).sum()))
-                found.append(np.full(group.bins, LEAST[group.kind] + known))
+                found.append(np.full(group.bins, known))
             elif group.kind == "slope":
                 # Of n even steps from first to last the squares about their mean sum up to n / 12.
                 steady = self.layout.steady[self.layout.scalars.index(group.statistic)]
                 found.append(np.full(group.bins, steady / math.sqrt(max(number, 3) / 12.0)))
             elif group.kind == "between":
-                # Of the logarithm of a standard deviation from so many normal values.
-                own = 0.5 * math.sqrt(float(polygamma(1, 0.5 * max(number - 1, 1))))
-                found.append(np.full(group.bins, max(LEAST[group.kind], own)))
+                found.append(np.zeros(group.bins))
             else:
                 part = slice(start, start + group.bins)
-                least = _least_scatter(group.kind, number, weight[part], value[part], square[part])
-                if group.known_to > 0:  # more frames tell no more of it
-                    least = np.hypot(least, group.known_to / np.sqrt(np.maximum(weight[part] / number, 1.0)))
-                if group.axis == PARTICLE_AXIS and misplaced > 0:
-                    least = np.hypot(least, _known_to(group.kind, weight[part], value[part], misplaced))
-                found.append(least)
                 start += group.bins
+                known_to = group.known_to / np.sqrt(np.maximum(weight[part] / number, 1.0))
+                if group.kind == "spread":
+                    known_to = np.hypot(known_to, METHOD.log_spread_error)
+                if group.axis == PARTICLE_AXIS and misplaced > 0:
+                    known_to = np.hypot(known_to, _known_to(group.kind, weight[part], value[part], misplaced))
+                found.append(known_to)
         return np.concatenate(found)
 
     def enough(self, number: int) -> NDArray[np.bool_]:
@@ -330,27 +364,18 @@ def _known_to(kind: str, weight: Floats, value: Floats, misplaced: float) -> Flo
     return found
 
 
-def _least_scatter(kind: str, number: int, weight: Floats, value: Floats, square: Floats) -> Floats:
-    """Scatter that an entry of so many frames has at least, from the sums over its bin.
-
-    A share: that of counting, but no more than one element that is found on the other side in half of the frames. A
-    mean or a spread: of elements half as independent as they look.
-    """
-    some = np.maximum(weight, TINY)
+def _independent_scatter(kind: str, weight: Floats, value: Floats, square: Floats) -> Floats:
+    """Scatter of an entry from the sums over its bin."""
+    if kind == "count":
+        return np.full(weight.shape, COUNTING)
+    some = np.maximum(weight, 1.0)
     if kind == "share":
-        inside = (value + ANSCOMBE) / (weight + 2.0 * ANSCOMBE)
-        one = 0.5 / (np.maximum(weight, 1.0) * np.sqrt(inside * (1.0 - inside)))
-        found: Floats = np.minimum(METHOD.few_counts_scatter / np.sqrt(np.maximum(weight, 1.0)), 0.5 * number * one)
-    elif kind == "count":
-        found = np.full(weight.shape, METHOD.few_counts_scatter)
+        found: Floats = COUNTING / np.sqrt(some)
+    elif kind == "spread":
+        found = np.sqrt(0.5 / some)
     else:
-        variance = np.maximum(square / some - (value / some) ** 2, TINY)
-        relative = METHOD.independent_share / np.sqrt(np.maximum(weight, 1.0))
-        found = (
-            relative * np.sqrt(variance)
-            if kind == "mean"
-            else np.hypot(math.sqrt(0.5) * relative, METHOD.log_spread_error)
-        )
+        mean = value / np.maximum(weight, TINY)
+        found = np.sqrt(np.maximum(square / np.maximum(weight, TINY) - mean**2, TINY) / some)
     return found
 
 

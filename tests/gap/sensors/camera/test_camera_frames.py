@@ -318,7 +318,8 @@ def test_an_effect_moves_the_statistics_that_it_should(models: dict[str, CameraF
     before = Pool(model.layout, model.simulated(condition, [], 0.0, SEEDS))
     after = Pool(model.layout, model.simulated(condition, [effect], 0.0, SEEDS))
     index = np.arange(len(SEEDS))[None]
-    change = (after.vectors(index) - before.vectors(index))[0] / before.least_scatter(len(SEEDS))
+    least = np.hypot(before.independent_scatter(len(SEEDS)), before.known_to(len(SEEDS)))
+    change = (after.vectors(index) - before.vectors(index))[0] / np.where(least > 0, least, np.inf)
     own = model.layout.each(lambda one: one.statistic.startswith(statistic))
     moved = np.abs(change[own & before.enough(len(SEEDS))])
     print(name, moved.max())

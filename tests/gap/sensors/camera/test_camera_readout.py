@@ -237,7 +237,8 @@ def test_faults_that_no_effect_explains_are_seen_in_snow(
     modelled, measured = Pool(model.layout, here), Pool(model.layout, there)
     index = np.arange(len(measured))[None]
     apart = measured.vectors(index)[0] - modelled.vectors(np.arange(len(seeds))[None])[0]
-    z = np.abs(apart) / modelled.least_scatter(len(measured))
+    least = np.hypot(modelled.independent_scatter(len(measured)), modelled.known_to(len(measured)))
+    z = np.abs(apart) / np.where(least > 0, least, np.inf)
     own = model.layout.each(lambda one: one.statistic.startswith(statistic)) & modelled.enough(len(measured))
     print(statistic, z[own].max())
     assert z[own].max() > 8.0

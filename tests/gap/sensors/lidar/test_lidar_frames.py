@@ -116,10 +116,10 @@ def test_measured_and_clear_frames_depart_from_their_references_by_the_same_nois
 
 
 def altered(study: Study) -> tuple[Any, Any]:
-    """Two frames in which beams were lost, moved to the front, moved back, dimmed and lit."""
+    """Two frames in which beams were lost, moved to the front, moved back, dimmed, read as 0 and lit."""
     range_m, intensity = (stacked(study.scenes["s0"].clear, name)[:2].copy() for name in ("range_m", "intensity"))
     rng = np.random.default_rng(7)
-    what = rng.integers(0, 8, range_m.shape)
+    what = rng.integers(0, 9, range_m.shape)
     seen = range_m > 0
     range_m = np.where(what == 0, 0.0, range_m)
     range_m = np.where((what == 1) & seen, 0.5 * range_m, range_m)
@@ -128,6 +128,7 @@ def altered(study: Study) -> tuple[Any, Any]:
     range_m = np.where((what == 5) & seen, range_m - 1.2 * SAME_SURFACE_M, range_m)
     range_m = np.where((what == 6) & seen, range_m + 0.8 * SAME_SURFACE_M, range_m)
     intensity = np.where(what == 3, 0.7 * intensity, intensity)
+    intensity = np.where(what == 8, 0.0, intensity)  # below the step of the file
     lit = (what == 4) & ~seen
     range_m = np.where(lit, 6.0, range_m)
     intensity = np.where(lit, 0.02, np.where(range_m > 0, intensity, 0.0))
@@ -148,8 +149,8 @@ def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[t
     apart = [float(range_m[beam]) - reference[beam] for beam in range(ROWS * COLUMNS)]
     stable = [beam for beam in range(ROWS * COLUMNS) if scene.stable[beam]]
     same = [beam for beam in stable if seen[beam] and abs(apart[beam]) < SAME_SURFACE_M]
-    ratio = {beam: math.log(float(intensity[beam]) / level[beam]) for beam in same}
-    common_m, common_ratio = (sum(of[beam] for beam in same) / len(same) for of in (apart, ratio))
+    ratio = {beam: math.log(float(intensity[beam]) / level[beam]) for beam in same if intensity[beam] > 0}
+    common_m, common_ratio = sum(apart[beam] for beam in same) / len(same), sum(ratio.values()) / len(ratio)
 
     def add(statistic: str, beam: int, value: float) -> None:
         for one in groups:
@@ -167,9 +168,11 @@ def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[t
             add(statistic, beam, float(not seen[beam]))
         add("new_share", beam, float(seen[beam] and apart[beam] < -SAME_SURFACE_M))
         add("beyond_share", beam, float(seen[beam] and apart[beam] > SAME_SURFACE_M))
+    for beam, value in ratio.items():
+        add("log_intensity_ratio", beam, value)
+        add("log_intensity_spread", beam, value - common_ratio)
     for beam in same:
-        add("log_intensity_ratio", beam, ratio[beam])
-        add("log_intensity_spread", beam, ratio[beam] - common_ratio)
+        add("zero_intensity_share", beam, float(intensity[beam] == 0))
         add("range_residual_m", beam, apart[beam])
         add("range_residual_spread", beam, math.log1p(((apart[beam] - common_m) / scene.noise_m) ** 2))
     return sums
@@ -184,7 +187,7 @@ def test_sums_agree_with_a_loop_over_the_beams(study: Study, model: LidarFrames)
     assert not torch.equal(bins["margin_db"][1], bins["margin_db"][CLEAR])
     for frame, row in enumerate(rows):
         expected = looped(model, range_m[frame], intensity[frame], row)
-        assert len(expected) == len(model.layout.binned) - 5  # those of particles
+        assert len(expected) == len(model.layout.binned) - 6  # those of particles
         for (statistic, axis), sums in expected.items():
             for what, wanted in zip(("weight", "value", "square"), sums, strict=True):
                 # Single precision of a residual of centimetres at 45 m: 4e-6 m each.
@@ -269,7 +272,8 @@ def test_scalars_of_a_frame_are_those_of_its_beams(study: Study, model: LidarFra
         lost, same = (stable & ~seen).sum(), stable & seen & (np.abs(apart) < SAME_SURFACE_M)
         particle = seen & (empty | (stable & (apart < -SAME_SURFACE_M)))
         near = particle & (range_m[frame] < 3.0)
-        ratio = np.log(intensity[frame, same] / scene.reference_intensity[frame].numpy()[same])
+        bright = same & (intensity[frame] > 0)
+        ratio = np.log(intensity[frame, bright] / scene.reference_intensity[frame].numpy()[bright])
         expected = [
             math.asin(math.sqrt((lost + 0.375) / (stable.sum() + 0.75))),
             math.sqrt(particle.sum() + 0.375),

@@ -43,6 +43,7 @@ from torchweather.gap.sensors.camera.tails import (
     TAIL_FROM_M,
     Beside,
     correlation_groups,
+    products_share,
     share_groups,
 )
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Reduced
@@ -89,7 +90,9 @@ def camera_layout(scene: CameraScene, colours: Sequence[str]) -> Layout:
         Group(shift_name(motion, colour), "depth_m", "mean", TAIL_FROM_M) for colour in colours for motion in MOTIONS
     ]
     groups += share_groups()
-    return Layout(tuple(groups), SCALARS, STEADY, MAPS)
+    products = tuple(group.statistic for group in correlation_groups())
+    shared = dict.fromkeys(products, products_share(BLOCK_CELLS))
+    return Layout(tuple(groups), SCALARS, STEADY, MAPS, about_clear_mean=products, scatter_share=shared)
 
 
 class CameraSums:

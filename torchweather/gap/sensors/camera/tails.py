@@ -24,6 +24,7 @@ __all__ = [
     "TAIL_FROM_M",
     "Beside",
     "correlation_groups",
+    "products_share",
     "share_groups",
 ]
 
@@ -45,6 +46,24 @@ def correlation_groups() -> list[Group]:
     statistics = [f"streak_correlation_{lag_name(lag)}" for lag in STREAK_LAGS]
     statistics += ["column_correlation", "row_correlation"]
     return [Group(statistic, "depth_m", "mean", TAIL_FROM_M) for statistic in statistics]
+
+
+def products_share(block_cells: int) -> float:
+    """Variance of a sum of products of cells less those beside them, over that of independent blocks of cells.
+
+    A cell less half of those two to either side has the autocovariance 3/2, -1, 1/4 at 0, 2 and 4 cells; products with
+    another row correlate by its square over 9/4.
+
+    Args:
+        block_cells: width of a block, in which neighbours are together.
+
+    Example:
+        >>> round(products_share(4), 3)
+        1.346
+    """
+    of = {0: 9.0 / 4.0, ASIDE: 2.0, 2 * ASIDE: 2.0 / 16.0}  # both sides
+    in_one = {apart: max(1.0 - apart / block_cells, 0.0) for apart in of}
+    return sum(of.values()) / sum(value * in_one[apart] for apart, value in of.items())
 
 
 def share_groups() -> list[Group]:

@@ -31,25 +31,32 @@ SUMS = {
     "new_share": ("stable", "before", "before"),
     "new_share_of_empty_beams": ("empty", "of_empty", "of_empty"),
     "beyond_share": ("stable", "beyond", "beyond"),
-    "log_intensity_ratio": ("same", "ratio", "ratio2"),
-    "log_intensity_spread": ("same", "even", "even2"),
+    "log_intensity_ratio": ("bright", "ratio", "ratio2"),
+    "log_intensity_spread": ("bright", "even", "even2"),
+    "zero_intensity_share": ("same", "dark", "dark"),
     "range_residual_m": ("same", "apart", "apart2"),
     "range_residual_spread": ("same", "wide", "wide2"),
     "particles_before_objects": ("frame", "before", "before"),
     "particles_of_empty_beams": ("frame", "of_empty", "of_empty"),
     "clustered_share": ("particle", "clustered", "clustered"),
-    "log_particle_intensity": ("particle", "level", "level2"),
-    "log_particle_intensity_spread": ("particle", "level", "level2"),
+    "log_particle_intensity": ("bright_particle", "level", "level2"),
+    "log_particle_intensity_spread": ("bright_particle", "level", "level2"),
+    "zero_intensity_share_of_particles": ("particle", "dark_particle", "dark_particle"),
     "lost_share_of_thin_targets": ("stable", "lost", "lost"),
 }
-OF_SURFACES = ("lost", "before", "beyond", "ratio", "ratio2")
+OF_SURFACES = ("lost", "before", "beyond", "dark", "ratio", "ratio2")
 OF_THE_SAME = ("apart", "apart2", "wide", "wide2", "even", "even2")
-OF_PARTICLES = ("frame", "before", "of_empty", "particle", "clustered", "level", "level2")
+OF_PARTICLES = (
+    *("frame", "before", "of_empty", "particle", "clustered"),
+    *("bright_particle", "dark_particle", "level", "level2"),
+)
 SCALARS = ("lost_share", "particle_root", "log_intensity_ratio", "near_particle_root")
 STEADY_COUNT = 0.35  # of 0.5, the scatter of a stabilised count, below which frames are called alike
 STEADY_RATIO = 1e-3  # of a mean logarithm over thousands of beams
 MAPS = ("particles",)
 FROM_CLEAR = ("log_intensity_spread", "range_residual_spread")  # noise that simulated frames have from clear ones
+
+ABOUT_CLEAR_MEAN = ("range_residual_spread",)
 
 
 def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, beams: int) -> Layout:
@@ -73,6 +80,7 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, b
     if with_intensity:
         add("log_intensity_ratio", "mean", (*everywhere, "log_intensity"))
         add("log_intensity_spread", "spread", ("range_m",))
+        add("zero_intensity_share", "share", ("range_m",))
     add("range_residual_m", "mean", ("range_m", "margin_db"))
     add("range_residual_spread", "mean", ("range_m", "margin_db"))
     groups.append(Group("particles_before_objects", "particle_range_m", "count", PARTICLE_RANGE_M))
@@ -81,9 +89,10 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, b
     if with_intensity:
         groups.append(Group("log_particle_intensity", "particle_range_m", "mean", PARTICLE_RANGE_M))
         groups.append(Group("log_particle_intensity_spread", "particle_range_m", "spread", PARTICLE_RANGE_M))
+        groups.append(Group("zero_intensity_share_of_particles", "particle_range_m", "share", PARTICLE_RANGE_M))
     add("lost_share_of_thin_targets", "share", ("isolated",))
     steady = (STEADY_COUNT / math.sqrt(max(beams, 1)), STEADY_COUNT, STEADY_RATIO, STEADY_COUNT)
-    return Layout(tuple(groups), SCALARS, steady, MAPS, FROM_CLEAR)
+    return Layout(tuple(groups), SCALARS, steady, MAPS, FROM_CLEAR, about_clear_mean=ABOUT_CLEAR_MEAN)
 
 
 def map_cells() -> list[tuple[float, float]]:
@@ -208,16 +217,17 @@ class LidarSums:
         for axis in (*self.surfaces.place, *self.standing.place):
             elsewhere = sums["lost", axis] + sums["before", axis] + sums["beyond", axis]
             sums["same", axis] = sums["stable", axis] - elsewhere
+            sums["bright", axis] = sums["same", axis] - sums["dark", axis]
         weight, value, square = (
             torch.cat([sums[SUMS[group.statistic][which], group.axis] for group in self.layout.binned], 1).numpy()
             for which in range(3)
         )
-        total = {name: sums[name, "azimuth_rad"].sum(1) for name in ("stable", "lost", "same", "ratio")}
+        total = {name: sums[name, "azimuth_rad"].sum(1) for name in ("stable", "lost", "bright", "ratio")}
         scalar = torch.stack(
             [
                 torch.asin(((total["lost"] + 0.375) / (total["stable"] + 0.75)).sqrt()),
                 (particles[:, OF_PARTICLES.index("particle")].sum(1) + 0.375).sqrt(),
-                total["ratio"] / total["same"].clamp_min(1.0),
+                total["ratio"] / total["bright"].clamp_min(1.0),
                 (near + 0.375).sqrt(),
             ],
             1,
@@ -232,21 +242,28 @@ class LidarSums:
         apart = range_m - self._reference[row]
         before, beyond = seen & (apart <= -tolerance_m), seen & (apart >= tolerance_m)
         same = seen & ~before & ~beyond
-        ratio = torch.log(intensity[:, beam].clamp_min(FAINTEST) / self._reference_intensity[row])
+        # An intensity of 0 has no logarithm: it is counted.
+        intensity = intensity[:, beam]
+        bright = same & (intensity > 0)
+        ratio = torch.log(intensity.clamp_min(FAINTEST) / self._reference_intensity[row])
         found = torch.empty(len(row), len(OF_SURFACES) + len(OF_THE_SAME), len(beam))
-        found[:, 0], found[:, 1], found[:, 2], weight = ~seen, before, beyond, same
-        torch.mul(ratio, weight, out=found[:, 3])
-        torch.mul(ratio, found[:, 3], out=found[:, 4])
-        torch.mul(apart, weight, out=found[:, 5])
-        torch.mul(apart, found[:, 5], out=found[:, 6])
+        at = {name: found[:, place] for place, name in enumerate((*OF_SURFACES, *OF_THE_SAME))}
+        for name, counted in (("lost", ~seen), ("before", before), ("beyond", beyond), ("dark", same & ~bright)):
+            at[name][:] = counted
+        torch.mul(ratio, bright, out=at["ratio"])
+        torch.mul(ratio, at["ratio"], out=at["ratio2"])
+        torch.mul(apart, same, out=at["apart"])
+        torch.mul(apart, at["apart"], out=at["apart2"])
         # Spreads are about the frame's own mean: a clock and a scale move whole frames.
-        number = weight.sum(1, keepdim=True).clamp_min(1)
-        common_ratio, common_m = (found[:, which].sum(1, keepdim=True) / number for which in (3, 5))
+        common_ratio, common_m = (
+            at[name].sum(1, keepdim=True) / counted.sum(1, keepdim=True).clamp_min(1)
+            for name, counted in (("ratio", bright), ("apart", same))
+        )
         # Grows with the spread, and hardly with what lies far out: flakes right before the surface.
-        torch.log1p(((apart - common_m) * weight / self.scene.noise_m).square(), out=found[:, 7])
-        torch.mul(found[:, 7], found[:, 7], out=found[:, 8])
-        torch.mul(ratio - common_ratio, weight, out=found[:, 9])
-        torch.mul(found[:, 9], found[:, 9], out=found[:, 10])
+        torch.log1p(((apart - common_m) * same / self.scene.noise_m).square(), out=at["wide"])
+        torch.mul(at["wide"], at["wide"], out=at["wide2"])
+        torch.mul(ratio - common_ratio, bright, out=at["even"])
+        torch.mul(at["even"], at["even"], out=at["even2"])
         return found, before
 
     def _particles(
@@ -266,7 +283,9 @@ class LidarSums:
         flat = frame * range_m.shape[1] + beam
         own = range_m.flatten()[flat]
         clustered = has_neighbour(range_m, self.grid, CLUSTER_M).flatten()[flat]
-        level = intensity.flatten()[flat].clamp_min(FAINTEST).double().log()
+        level = intensity.flatten()[flat].double()
+        bright = level > 0
+        level = level.clamp_min(FAINTEST).log() * bright
         slot = frame if portions == 1 else frame * portions + portion[beam]
         slots, bins, rings = len(range_m) * portions, len(PARTICLE_RANGE_M) - 1, len(MAP_RANGES_M) - 1
         tick = (own * TICKS_PER_M).long().clamp_max(len(self._bin) - 1)
@@ -279,7 +298,8 @@ class LidarSums:
 
         numbers = [summed(None, slice(0, len(frame_1))), summed(None, slice(len(frame_1), None))]
         everywhere = torch.ones(slots, bins, dtype=torch.float64)
-        particles = [*numbers, numbers[0] + numbers[1], summed(clustered), summed(level), summed(level * level)]
+        both, seen = numbers[0] + numbers[1], summed(bright)
+        particles = [*numbers, both, summed(clustered), seen, both - seen, summed(level), summed(level * level)]
         sector = slot * MAP_SECTORS + self._sector[beam]
         maps = torch.bincount(sector * rings + self._ring[tick], None, slots * MAP_SECTORS * rings).double()
         maps = maps.reshape(slots, MAP_SECTORS, rings)

@@ -1,0 +1,63 @@
+"""A perfect model departs by one in the mean square: whole measurements made anew, again and again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from torchweather.gap.inference.calibrated_scatter import MeasuredSize, calibrated_scatter
+from torchweather.gap.statistics.frame_statistics import Group, Layout, Pool, Reduced
+
+BINS, FRAMES, CLEAR, POOL = 40, 6, 8, 48
+EDGES = tuple(float(one) for one in range(BINS + 1))
+Made = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def counts(rng: np.random.Generator, rate: NDArray[np.float64], frames: int) -> Made:
+    """Particles: independent from frame to frame."""
+    return np.ones((frames, BINS)), rng.poisson(rate, (frames, BINS)).astype(np.float64)
+
+
+def shares(rng: np.random.Generator, rate: NDArray[np.float64], frames: int) -> Made:
+    """Beams that are lost in every frame, as many as stands in ``rate``, and in one frame of four one more."""
+    lost = np.floor(rate * 20.0) + (rng.random((frames, BINS)) < 0.25)
+    return np.full((frames, BINS), 400.0), lost
+
+
+@pytest.mark.parametrize(("kind", "draw"), [("count", counts), ("share", shares)])
+def test_departures_of_a_perfect_model_have_their_expected_square(kind: str, draw: object) -> None:
+    assert callable(draw)
+    rng = np.random.default_rng(7)
+    rate = 10.0 ** np.linspace(-3.0, 1.0, BINS)  # from one in 1,000 frames to ten a frame
+    layout = Layout((Group("events", "range_m", kind, EDGES),), (), (), ())
+    size = {"rain": MeasuredSize(FRAMES, CLEAR)}
+    squares, expected, largest = 0.0, 0.0, 0.0
+    for seed in range(40):
+        pool, fresh = (
+            Pool(layout, Reduced(weight, value, value, np.zeros((len(value), 0)), np.zeros((len(value), 0, 1))), start)
+            for (weight, value), start in (
+                (draw(rng, rate, POOL), np.arange(POOL) % CLEAR),
+                (draw(rng, rate, FRAMES), np.arange(FRAMES)),
+            )
+        )
+        found = calibrated_scatter({"rain": pool}, size, {"rain": np.zeros(BINS)}, seed)["rain"]
+        total = found.own + found.simulated + found.clear
+        z2 = (fresh.vectors(np.arange(FRAMES)[None])[0] - found.mean) ** 2 / total
+        squares, expected, largest = squares + z2.sum(), expected + found.expected.sum(), max(largest, z2.max())
+    # 40 studies of some 20 entries that tell something: sqrt(2 / 800) = 5 %, three of those.
+    assert squares / expected == pytest.approx(1.0, abs=0.15)
+    assert largest < 5.5**2  # of 1,600 entries; a first event is no miracle
+
+
+def test_what_the_clear_frames_do_not_tell_is_in_the_scatter() -> None:
+    """Means whose noise lies between clear frames: eight frames know it to an eighth of a frame's variance."""
+    layout = Layout((Group("level", "particle_range_m", "mean", EDGES),), (), (), ())
+    weight = np.full((POOL, BINS), 100.0)
+    base = np.random.default_rng(3).normal(size=(CLEAR, BINS))[np.arange(POOL) % CLEAR]
+    frames = Reduced(weight, weight * base, weight * base**2, np.zeros((POOL, 0)), np.zeros((POOL, 0, 1)))
+    pool = Pool(layout, frames, np.arange(POOL) % CLEAR)
+    found = calibrated_scatter({"snow": pool}, {"snow": MeasuredSize(FRAMES, CLEAR)}, {"snow": np.zeros(BINS)}, 0)
+    one = found["snow"]
+    np.testing.assert_allclose(one.clear / one.own, FRAMES / CLEAR, rtol=1e-6)
+    np.testing.assert_allclose(one.simulated / one.own, 0.0, atol=1e-6)

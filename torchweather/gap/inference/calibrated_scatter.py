@@ -1,0 +1,271 @@
+"""Scatter of measured vectors about the simulated mean, calibrated: a perfect model departs by 1 in the mean square.
+
+Everything comes from paired simulated frames: from draws of as many as were measured, from their components within and
+between clear frames (``frame_components.py``), and, of means of elements, from the noise of portions of the elements.
+The law of counting is taken in where little was counted, as much as it differs from what the bins of that statistic
+show together. Nothing is enlarged for safety; what a model of a sensor is known to is added by name.
+
+References:
+    GAP.md 3 (2). Wood 2010 (synthetic likelihood), Efron & Morris 1973 (estimates shrunk towards common ones).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.frame_components import FrameComponents, between_share, frame_components
+from torchweather.gap.statistics.counting import ANSCOMBE, counted_variance, expected_number
+from torchweather.gap.statistics.frame_statistics import COUNTED, TINY, Group, Layout, Pool
+
+__all__ = ["CalibratedScatter", "MeasuredSize", "calibrated_scatter", "log_sd_variance"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MeasuredSize:
+    """How much was measured of a condition.
+
+    Args:
+        frames: n, of the condition.
+        clear_frames: K, of its scene.
+        time_s: of the frames.
+        misplaced: share of the particles that the model may put into a neighbouring bin of range.
+    """
+
+    frames: int
+    clear_frames: int
+    time_s: Floats | None = None
+    misplaced: float = 0.0
+
+
+@dataclass(frozen=True)
+class CalibratedScatter:
+    """Of the vector of one condition; variances ``(P,)``.
+
+    Args:
+        mean, draws: of vectors of as many frames as were measured, ``(P,)`` and ``(R, P)``.
+        own: of the measured frames.
+        simulated: of the simulated mean.
+        clear: by the error of the clear frames.
+        shared: ``(P,)`` whether that error is the same in all conditions of a scene.
+        expected: mean square of a departure that noise makes over the sum of the three: below 1 where hardly
+            anything can happen.
+    """
+
+    mean: Floats
+    draws: Floats
+    own: Floats
+    simulated: Floats
+    clear: Floats
+    shared: NDArray[np.bool_]
+    expected: Floats
+
+
+def calibrated_scatter(
+    pools: Mapping[str, Pool], sizes: Mapping[str, MeasuredSize], elements: Mapping[str, Floats], seed: int
+) -> dict[str, CalibratedScatter]:
+    """Scatter of the vectors of conditions.
+
+    Args:
+        pools: condition to simulated frames, each with the clear frame that it started from.
+        sizes: how much was measured.
+        elements: condition to ``(P,)`` scatter of the measured vector by the noise of elements.
+        seed: of the draws.
+    """
+    layout = next(iter(pools.values())).layout
+    components = {name: frame_components(pool, sizes[name].frames) for name, pool in pools.items()}
+    share = between_share(layout, components)
+    drawn = {name: _drawn(pool, sizes[name], seed, place) for place, (name, pool) in enumerate(pools.items())}
+    counted = {name: _Counted(layout, pool, sizes[name], share) for name, pool in pools.items()}
+    dispersion = _dispersion(layout, counted, {name: one.var(0, ddof=1) for name, one in drawn.items()})
+    return {
+        name: _scatter(
+            pool, sizes[name], drawn[name], components[name], share, elements[name], counted[name], dispersion
+        )
+        for name, pool in pools.items()
+    }
+
+
+def _drawn(pool: Pool, size: MeasuredSize, seed: int, place: int) -> Floats:
+    """Vectors ``(R, P)`` of frames drawn from a pool, as many as were measured, about their mean as far apart as such
+    of endless frames."""
+    generator = np.random.default_rng([seed, place])
+    count = len(pool)
+    index = np.argsort(generator.random((METHOD.distribution_draws, count)), 1)[:, : min(size.frames, count)]
+    vectors = pool.vectors(index, size.time_s)
+    mean = vectors.mean(0)
+    # Frames of a finite pool, none twice, have means that scatter less; changes over time do not.
+    finite = pool.layout.each(lambda group: group.kind != "slope") * min(size.frames / count, 0.5)
+    found: Floats = mean + (vectors - mean) / np.sqrt(1.0 - finite)
+    return found
+
+
+class _Counted:
+    """The law of counting of the entries of one condition that are counts or shares.
+
+    Args:
+        layout: of the vector.
+        pool: simulated frames.
+        size: how much was measured.
+        share: ``(P,)`` of the variance between clear frames.
+    """
+
+    def __init__(self, layout: Layout, pool: Pool, size: MeasuredSize, share: Floats) -> None:
+        frames, number = len(pool), size.frames
+        # Of what only K clear frames tell, frames of one clear frame are no further knowledge.
+        self.independent = 1.0 / ((1.0 - share) / frames + share / min(size.clear_frames, frames))
+        self.expected, self.variance = np.zeros(layout.size), np.zeros(layout.size)
+        self.weight = np.zeros(layout.size)
+        for group, part in zip(layout.binned, layout.slices, strict=False):
+            if group.kind not in COUNTED:
+                continue
+            weight, value = (getattr(pool.frames, name)[:, part].mean(0) for name in ("weight", "value"))
+            happened = value if group.kind == "count" else np.minimum(value, weight - value)
+            independent = self.independent[part]
+            expected = expected_number(happened * independent, independent, number)
+            self.expected[part], self.weight[part] = expected, number * weight
+            self.variance[part] = counted_variance(group.kind, number * weight, expected)
+
+    def told(self) -> Floats:
+        """``(P,)`` frames' worth of knowledge that simulated frames have of the variance of a count themselves."""
+        per_frame = 1.0 / np.maximum(self.expected, TINY)
+        found: Floats = self.independent / (2.0 + per_frame)
+        return found
+
+    def prior(self) -> Floats:
+        """``(P,)`` the same of the law of counting: less where many were counted, and simulated frames tell enough."""
+        found: Floats = METHOD.counting_prior_frames / (1.0 + (self.expected / METHOD.counting_prior_frames) ** 2)
+        return found
+
+    def least(self, group: Group, part: slice) -> Floats:
+        """Variance below which one event more would count by more than ``METHOD.one_event_sd``."""
+        expected = self.expected[part]
+        step = (np.sqrt(expected + 1.0 + ANSCOMBE) - np.sqrt(expected + ANSCOMBE)) / METHOD.one_event_sd
+        found: Floats = step**2 if group.kind == "count" else step**2 / np.maximum(self.weight[part], 1.0)
+        return found
+
+
+def _counts(statistic: str, group: Group) -> bool:
+    return group.statistic == statistic and group.kind in COUNTED
+
+
+def _dispersion(layout: Layout, counted: Mapping[str, _Counted], variance: Mapping[str, Floats]) -> dict[str, float]:
+    """Variance of each counted statistic over that of the law of counting, over all bins and conditions.
+
+    A beam that is lost is lost in every frame: such shares scatter far less than independent ones would.
+    """
+    found: dict[str, float] = {}
+    for name in dict.fromkeys(group.statistic for group in layout.binned if group.kind in COUNTED):
+        over = whole = 0.0
+        for condition, own in counted.items():
+            entries = layout.each(partial(_counts, name))
+            # Of those where the law is asked for.
+            weight = own.expected[entries] * own.prior()[entries] / METHOD.counting_prior_frames
+            over += float((weight * variance[condition][entries] / np.maximum(own.variance[entries], TINY)).sum())
+            whole += float(weight.sum())
+        found[name] = (over + METHOD.unseen_events) / (whole + METHOD.unseen_events)
+    return found
+
+
+def log_sd_variance(number: int, variance: float, steady: float) -> float:
+    """Variance of ``log(s^2 + steady^2) / 2``, s the standard deviation of so many normal values.
+
+    Args:
+        number: of values.
+        variance: of each.
+        steady: as in ``Layout``.
+
+    Example:
+        >>> round(log_sd_variance(6, 1.0, 0.0), 3)  # a quarter of the trigamma of 5/2
+        0.122
+    """
+    values = chi2.ppf((np.arange(METHOD.quantiles) + 0.5) / METHOD.quantiles, max(number - 1, 1)) / max(number - 1, 1)
+    return float((0.5 * np.log(values * variance + max(steady, TINY) ** 2)).var())
+
+
+def _scatter(
+    pool: Pool,
+    size: MeasuredSize,
+    draws: Floats,
+    components: FrameComponents,
+    share: Floats,
+    elements: Floats,
+    counted: _Counted,
+    dispersion: Mapping[str, float],
+) -> CalibratedScatter:
+    layout, number, frames, clear = pool.layout, size.frames, len(pool), size.clear_frames
+    # Mean of one over an estimated variance, over one over the true one.
+    variance = draws.var(0, ddof=1) * (1.0 + np.minimum(components.unsure, METHOD.most_unsure))
+    own, simulated, of_clear = np.zeros(layout.size), np.zeros(layout.size), np.zeros(layout.size)
+    expected = np.ones(layout.size)
+    known = pool.known_to(number, size.misplaced) ** 2
+    # Means of elements, and what happens by chance in clear frames: the noise of elements is known from the clear
+    # frames of all scenes, and their own error is the same in all conditions of one.
+    by_elements = (layout.averages | layout.each(lambda group: group.statistic in layout.from_clear)) & ~layout.each(
+        lambda group: group.kind in COUNTED
+    )
+    from_clear = layout.each(lambda group: group.statistic in layout.from_clear)
+    # What happens by chance in clear frames is simulated as often as they show it: their error is all of it. The same
+    # holds for squares about the mean of two frames, which are alike in both.
+    squares = layout.each(lambda group: group.statistic in layout.about_clear_mean)
+    told_by_clear = np.where(from_clear | (squares & (clear < METHOD.frames_for_spread)), 1.0, share)
+    for group, part in zip(layout.groups, layout.slices, strict=True):
+        if by_elements[part][0]:
+            noise = elements[part] ** 2
+            # The noise of elements holds that of the weather in them, not what it does to whole frames.
+            own[part] = np.maximum(noise, components.within[part])
+            simulated[part] = np.minimum(components.within[part], own[part]) * number / frames
+            of_clear[part] = noise * told_by_clear[part] * number / clear
+        elif group.kind in COUNTED:
+            told, prior, least = counted.told()[part], counted.prior()[part], counted.least(group, part)
+            law = dispersion[group.statistic] * counted.variance[part]
+            mixed = (told * variance[part] + prior * law) / (told + prior)
+            share_of_null = layout.scatter_share.get(group.statistic, 1.0)
+            mixed = mixed * share_of_null
+            own[part] = np.maximum(mixed, least)
+            seen = draws[:, part].var(0, ddof=1) * share_of_null
+            shown = np.where(seen > TINY**2, seen, 0.5 * mixed)
+            expected[part] = np.minimum(shown / np.maximum(own[part], TINY**2), 1.0)
+            simulated[part] = own[part] * (1.0 - share[part]) * number / frames
+            of_clear[part] = own[part] * told_by_clear[part] * number / clear
+        elif group.kind == "between":
+            scalar = layout.scalars.index(group.statistic)
+            steady, by_clear = layout.steady[scalar], float(components.of_scalars[scalar])
+            scatter = pool.frames.scalar[:, scalar].var() * (1.0 + by_clear / max(clear - 1, 1))
+            # K clear frames that are alike by chance make no steady sensor: as large as it may well be.
+            scatter *= 1.0 + by_clear * METHOD.well_may_be_sd * math.sqrt(2.0 / max(clear - 1, 1))
+            # As far as frames differ by clear ones, K of those tell no more of the scatter than K numbers do.
+            of_clear_noise = log_sd_variance(number, scatter, steady)
+            own[part] = (1.0 - by_clear) * variance[part] + by_clear * of_clear_noise
+            simulated[part] = variance[part] * number / frames
+            of_clear[part] = by_clear * log_sd_variance(clear, scatter, steady)
+        elif group.kind == "slope":
+            by_clear = float(components.of_scalars[layout.scalars.index(group.statistic)])
+            slope_unsure = 2.0 * ((1.0 - by_clear) / frames + by_clear / max(clear - 1, 1))
+            own[part] = draws[:, part].var(0, ddof=1) * (1.0 + min(slope_unsure, METHOD.most_unsure))
+        elif group.kind == "persistence":
+            # Maps are nearly empty where little falls: one return that two frames share by chance is no discovery.
+            least = math.sqrt(2.0 / max(number * (number - 1), 2)) / METHOD.one_event_sd
+            own[part] = np.maximum(variance[part], least**2)
+            expected[part] = np.minimum(draws[:, part].var(0, ddof=1) / own[part], 1.0)
+            simulated[part] = variance[part] * (1.0 - share[part]) * number / frames
+            of_clear[part] = variance[part] * share[part] * number / clear
+        else:
+            own[part] = variance[part]
+            simulated[part] = variance[part] * (1.0 - share[part]) * number / frames
+            of_clear[part] = variance[part] * share[part] * number / clear
+    before = own + simulated + of_clear
+    own = own + known
+    expected *= before / np.maximum(own + simulated + of_clear, TINY**2)
+    return CalibratedScatter(
+        draws.mean(0), draws, own, simulated, of_clear, layout.averages | from_clear, np.minimum(expected, 1.0)
+    )
