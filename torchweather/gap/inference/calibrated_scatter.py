@@ -254,8 +254,8 @@ def _scatter(
             own[part] = draws[:, part].var(0, ddof=1) * (1.0 + min(slope_unsure, METHOD.most_unsure))
         elif group.kind == "persistence":
             # Maps are nearly empty where little falls: one return that two frames share by chance is no discovery.
-            least = math.sqrt(2.0 / max(number * (number - 1), 2)) / METHOD.one_event_sd
-            own[part] = np.maximum(variance[part], least**2)
+            least_sd = math.sqrt(2.0 / max(number * (number - 1), 2)) / METHOD.one_event_sd
+            own[part] = np.maximum(variance[part], least_sd**2)
             expected[part] = np.minimum(draws[:, part].var(0, ddof=1) / own[part], 1.0)
             simulated[part] = variance[part] * (1.0 - share[part]) * number / frames
             of_clear[part] = variance[part] * share[part] * number / clear

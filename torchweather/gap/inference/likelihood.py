@@ -474,6 +474,7 @@ class SimulatorLikelihood:
         here = nuisance.moved(self.offset(point))
         residual = self.departure(base, mean)
         cost = here.cost(residual)
+        begun = here.misfit(residual)
         covariance: Floats = np.zeros((len(names), len(names)))
         renewed = False
         for _ in range(iterations):
@@ -500,9 +501,24 @@ class SimulatorLikelihood:
                 cost = here.cost(residual)
             elif gained > 10.0 * stalled:
                 renewed = False
+        found = self._fit_at(point, here, base, covariance, names)
+        if found.misfit > begun and point != start:
+            # The scatter of where a step leads to is not known on the way: no fit ends worse than where it began.
+            found = min(found, self._fit_at(start, nuisance, base, covariance, names), key=lambda one: one.misfit)
+        return found
+
+    def _fit_at(
+        self,
+        point: ParameterPoint,
+        nuisance: Systematics,
+        base: SimulatedDistribution,
+        covariance: Floats,
+        names: Sequence[tuple[str, str]],
+    ) -> Fit:
+        """What a fit that ends at a point is worth, with the scatter there; ``nuisance`` is in units of ``base``."""
         final = self.at(point)
         residual = self.residual(final)
-        here = self._nuisance_at(here.moved(self.offset(point)), base, final)
+        here = self._nuisance_at(nuisance.moved(self.offset(point)), base, final)
         misfit = here.misfit(residual) + self._wider(final)
         misfit += sum(complexity_penalty(self.model, name) for name in point.values)
         return Fit(point, final, residual, here, misfit, covariance, tuple(names))

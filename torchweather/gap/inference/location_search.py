@@ -74,16 +74,18 @@ def located(search: SimulatorLikelihood, point: ParameterPoint, name: str, base:
             before = best
             for parameter, step in steps.items():
                 low, high = bounds[parameter]
+                beside = []
+                # Both ways: a step to where nothing stands may help less than the step to the other side.
                 for sign in (1.0, -1.0):
                     value = point.values[name][parameter] + sign * step
                     if parameter == "azimuth_rad":
                         value = math.remainder(value, 2.0 * math.pi)
                     moved = {**point.values[name], parameter: min(max(value, low), high)}
                     tried = replace(point, values={**point.values, name: moved})
-                    found = cost(tried)
-                    if found < best:
-                        point, best = tried, found
-                        break
+                    beside.append((cost(tried), tried))
+                found, tried = min(beside, key=lambda one: one[0])
+                if found < best:
+                    point, best = tried, found
             if best == before:
                 break
         steps = {parameter: 0.5 * step for parameter, step in steps.items()}
