@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -262,6 +264,45 @@ def test_a_sector_is_found_whose_start_overlaps_half_of_it() -> None:
     assert found["azimuth_rad"] == pytest.approx(truth["azimuth_rad"], abs=0.1)
     assert found["width_rad"] == pytest.approx(truth["width_rad"], abs=0.2)
     assert found["loss_db"] == pytest.approx(truth["loss_db"], rel=0.15)
+
+
+def test_a_thing_is_found_on_the_better_side() -> None:
+    """Over two columns, of which one holds the thing: the other column alone costs less than both, too."""
+    name, column_rad = "lidar.static_structure", 0.05
+    start = {"azimuth_rad": 0.54, "range_m": 8.0, "width_rad": 0.0506}
+
+    def cost(values: dict[str, float]) -> float:
+        near, far = (
+            abs(place - values["azimuth_rad"]) <= 0.5 * values["width_rad"] for place in (0.515, 0.515 + column_rad)
+        )
+        return {(True, False): 1.0, (False, True): 100.0, (True, True): 101.0, (False, False): 102.0}[near, far]
+
+    base: Any = SimpleNamespace(base=None, nuisance=SimpleNamespace(moved=lambda offset: SimpleNamespace(misfit=cost)))
+    search: Any = SimpleNamespace(
+        model=SimpleNamespace(forms={}),
+        offset=lambda point: None,
+        mean=lambda point, frames: point.values[name],
+        departure=lambda scatter, mean: mean,
+    )
+    assert cost(start) > cost({**start, "azimuth_rad": 0.565}) > cost({**start, "azimuth_rad": 0.515})
+    found = located(search, ParameterPoint({name: start}), name, base).values[name]
+    assert abs(found["azimuth_rad"] - 0.515) <= 0.5 * column_rad
+
+
+def test_no_fit_ends_worse_than_it_began(null: SimulatorLikelihood, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a step leads to, the scatter may be another: what was gained on the way is not gained there."""
+    start = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})
+    nuisance = null.nuisance(start, null.start)
+    honest, ends = SimulatorLikelihood._fit_at, []
+
+    def with_another_scatter(self: SimulatorLikelihood, point: ParameterPoint, *arguments: Any) -> Fit:
+        ends.append(point)
+        found = honest(self, point, *arguments)
+        return found if point == start else replace(found, misfit=1e6 * found.misfit)
+
+    monkeypatch.setattr(SimulatorLikelihood, "_fit_at", with_another_scatter)
+    assert null.fit(start, nuisance, null.start, 1).point == start
+    assert [point == start for point in ends] == [False, True]
 
 
 def test_an_effect_without_a_place_is_not_moved(null: SimulatorLikelihood) -> None:

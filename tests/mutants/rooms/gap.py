@@ -186,4 +186,20 @@ MUTANTS = (
         "own[part] = 2.0 * np.maximum(noise, components.within[part])",
         ("tests/gap/test_null_calibration.py::test_a_perfect_model_departs_by_what_is_stated",),
     ),
+    Mutant(
+        "the_first_side_that_helps_is_taken",
+        "a sector is moved to the better of both sides",
+        "torchweather.gap.inference.location_search",
+        "found, tried = min(beside, key=lambda one: one[0])",
+        "found, tried = next((one for one in beside if one[0] < best), beside[0])",
+        ("tests/gap/inference/test_likelihood.py::test_a_thing_is_found_on_the_better_side",),
+    ),
+    Mutant(
+        "a_fit_may_end_worse_than_it_began",
+        "no fit ends worse than it began",
+        "torchweather.gap.inference.likelihood",
+        "if found.misfit > begun and point != start:",
+        "if False:",
+        ("tests/gap/inference/test_likelihood.py::test_no_fit_ends_worse_than_it_began",),
+    ),
 )
