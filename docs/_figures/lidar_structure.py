@@ -1,4 +1,4 @@
-"""Pictures of the structure of rain and snow: density by direction, sizes, one particle in two beams."""
+"""Pictures of the structure of rain and snow: density by direction, sizes, near ones, one particle in two beams."""
 
 from __future__ import annotations
 
@@ -57,5 +57,11 @@ PICTURES: dict[str, Picture] = {
             ),
         ),
         scene="fine",
+    ),
+    "lidar.near_response": Picture(
+        SNOW,
+        ({"full_m": 8.0, "power": 1.0}, {"full_m": 16.0, "power": 2.0}),
+        (counts, brightness),
+        legend=(0, "upper right"),
     ),
 }

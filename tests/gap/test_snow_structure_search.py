@@ -14,6 +14,7 @@ HIDDEN: list[tuple[str, dict[str, float]]] = [
     ("lidar.particle_density_azimuth", {"amplitude": 3.0, "azimuth_rad": 2.0, "width_rad": 0.6}),
     ("lidar.particle_density_elevation", {"amplitude": 3.0, "elevation_rad": 0.1, "width_rad": 0.15}),
     ("lidar.particle_sizes", {"factor_1mm": 4.0}),
+    ("lidar.near_response", {"full_m": 15.0, "power": 2.0}),
 ]
 
 

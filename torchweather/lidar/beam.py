@@ -22,7 +22,8 @@ class Beam(nn.Module):
     """A cone of light, uniform inside and dark outside, and the receiver's response to what is near.
 
     Buffers, so that they can be fitted: ``exit_diameter_m`` d0, ``divergence_rad`` theta (full angle), ``near_start_m``
-    R1, ``near_full_m`` R2, ``near_power``, ``threshold`` X_thr in 1/(m^2 sr).
+    R1, ``near_full_m`` R2, ``near_power``, ``threshold`` X_thr in 1/(m^2 sr). What the receiver takes of near particles
+    beyond that is in ``extra_near_full_m`` and ``extra_near_power``, ``(B,)`` or ``None``.
 
     References:
         PHYSICS.md 5.2, 5.3.
@@ -34,6 +35,8 @@ class Beam(nn.Module):
     near_full_m: Tensor
     near_power: Tensor
     threshold: Tensor
+    extra_near_full_m: Tensor | None
+    extra_near_power: Tensor | None
 
     def __init__(self, sensor: Lidar) -> None:
         super().__init__()
@@ -46,16 +49,28 @@ class Beam(nn.Module):
             ("threshold", sensor.threshold_per_m2_sr),
         ):
             self.register_buffer(name, torch.tensor(value, dtype=torch.float32))
+        self.register_buffer("extra_near_full_m", None)
+        self.register_buffer("extra_near_power", None)
 
     def widened(self, extra_rad: Tensor) -> Beam:
         """A beam like this one with a larger divergence, ``()`` or ``(B,)`` radians more, full angle.
 
         Its diameters and areas have the batch first: ``(B, ...)`` for ranges ``(cells, G)``.
         """
-        found = copy.copy(self)
-        found._buffers = dict(self._buffers)
+        found = self._copied()
         extra = extra_rad.to(self.divergence_rad)
         found.divergence_rad = self.divergence_rad + (extra.reshape(-1, 1, 1) if extra.ndim else extra)
+        return found
+
+    def fainter_near(self, full_m: Tensor, power: Tensor) -> Beam:
+        """A beam like this one whose receiver takes ``min(1, R / full_m)^power`` of particles' light, ``(B,)``."""
+        found = self._copied()
+        found.extra_near_full_m, found.extra_near_power = full_m.to(self.near_full_m), power.to(self.near_full_m)
+        return found
+
+    def _copied(self) -> Beam:
+        found = copy.copy(self)
+        found._buffers = dict(self._buffers)
         return found
 
     def diameter_m(self, range_m: Tensor) -> Tensor:
@@ -81,6 +96,23 @@ class Beam(nn.Module):
             return ramp.clamp(0.0, 1.0)
         inside = ramp.clamp(1e-12, 1.0)  # a power of 0 would have no gradient
         return torch.where(ramp > 0, inside**self.near_power, torch.zeros_like(ramp))
+
+    def particle_response(self, range_m: Tensor, *, of_each_sample: bool = False) -> Tensor:
+        """Share of a near particle's light that the receiver takes, 0 to 1.
+
+        Args:
+            range_m: ``(...)``, the same for all samples, or ``(B, N)``.
+            of_each_sample: whether the ranges have the batch first.
+
+        Returns:
+            Of the shape of the ranges; ``(B, ...)`` of ranges for all samples where samples differ.
+        """
+        response = self.near_response(range_m)
+        if self.extra_near_power is None or self.extra_near_full_m is None:
+            return response
+        shape = (-1, *[1] * (range_m.ndim - of_each_sample))
+        ramp = range_m / self.extra_near_full_m.reshape(shape)
+        return response * ramp.clamp(1e-12, 1.0) ** self.extra_near_power.reshape(shape)
 
 
 class RangeGrid(nn.Module):

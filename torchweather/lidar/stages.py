@@ -399,7 +399,7 @@ class ParticleReturns(Stage):
         "air.reach_m",
         "air.size_factors",
         *("returns.kind", "returns.range_m", "returns.signal"),
-        "receiver.extra_divergence_rad",
+        *("receiver.extra_divergence_rad", "receiver.extra_near_full_m", "receiver.extra_near_power"),
     )
     writes: ClassVar[tuple[str, ...]] = (
         "returns.echo_speed_m_per_s",
@@ -488,11 +488,7 @@ class ParticleReturns(Stage):
             extinction = torch.zeros(state.batch, dtype=state.returns.signal.dtype, device=state.returns.signal.device)
         ranges, signals = [state.returns.range_m], [state.returns.signal]
         extinction = extinction.to(self.beam.threshold.dtype)
-        beam = (
-            self.beam
-            if state.receiver.extra_divergence_rad is None
-            else self.beam.widened(state.receiver.extra_divergence_rad)
-        )
+        beam = self._beam(state)
         for kind, part in self.kinds.items():
             arrival, place = noise[f"{kind}_arrival"], noise[f"{kind}_place"]
             drawn = self._drawn if state.air.patches is None else self._drawn_in_patches
@@ -507,6 +503,16 @@ class ParticleReturns(Stage):
                 speeds.append(self._speeds(part, beam, extinction, range_m, signal, state))
             changed["echo_speed_m_per_s"] = _joined(speeds)
         return state.changed(**changed)
+
+    def _beam(self, state: LidarState, sectors: int = 1) -> Beam:
+        """The beam as the particles of a state see it, of so many sectors a sample."""
+        receiver, beam = state.receiver, self.beam
+        if receiver.extra_divergence_rad is not None:
+            beam = beam.widened(receiver.extra_divergence_rad.repeat_interleave(sectors, 0))
+        if receiver.extra_near_full_m is not None and receiver.extra_near_power is not None:
+            near = receiver.extra_near_full_m, receiver.extra_near_power
+            beam = beam.fainter_near(*(value.repeat_interleave(sectors, 0) for value in near))
+        return beam
 
     def _speeds(
         self,
@@ -586,8 +592,7 @@ class ParticleReturns(Stage):
         def each(values: Tensor | None) -> Tensor | None:
             return None if values is None else values.repeat_interleave(SECTORS, 0)
 
-        if state.receiver.extra_divergence_rad is not None:
-            beam = self.beam.widened(state.receiver.extra_divergence_rad.repeat_interleave(SECTORS, 0))
+        beam = self._beam(state, SECTORS)
         own = (state.air.density_scale, air, state.air.size_factors)
         of_sectors = (beam, extinction.repeat_interleave(SECTORS, 0), each(own[0]), own[1], each(own[2]))
         between, places = part.tables(*of_sectors)

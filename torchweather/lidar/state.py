@@ -108,12 +108,16 @@ class LidarReceiver:
         sensor: the LiDAR; ``None`` until ``to_energy``.
         threshold_scale: ``(B,)`` threshold of the detection over ``threshold``; ``None`` is 1.
         extra_divergence_rad: ``(B,)`` by which the beam is wider than the sensor says, full angle; ``None`` is 0.
+        extra_near_full_m, extra_near_power: ``(B,)`` end and power of a further near-range response to particles;
+            ``None`` is none.
     """
 
     threshold: Tensor
     sensor: Lidar | None = None
     threshold_scale: Tensor | None = None
     extra_divergence_rad: Tensor | None = None
+    extra_near_full_m: Tensor | None = None
+    extra_near_power: Tensor | None = None
 
 
 @dataclass(frozen=True)

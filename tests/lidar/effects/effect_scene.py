@@ -60,6 +60,7 @@ ACTIVE: dict[str, dict[str, float]] = {
         "factor_8mm": 0.5,
     },
     "lidar.shared_particles": {"share": 1.0, "width_factor": 30.0},
+    "lidar.near_response": {"full_m": 16.0, "power": 2.0},
     "lidar.snow_cover": {"depth_mm": 5.0, "reflectivity": 0.5, "uneven": 0.5},
     "lidar.road_spray": {
         "water_g_per_m": 30.0,
@@ -145,9 +146,9 @@ def assert_same_state(one: LidarState, other: LidarState, sample: int | slice = 
         if not isinstance(first, Tensor):
             if field in OF_ONE and second is not None:
                 assert (second[sample] == 1.0).all()
-            elif field == "extra_divergence_rad" and second is not None:
+            elif field in ("extra_divergence_rad", "extra_near_power") and second is not None:
                 assert (second[sample] == 0.0).all()
-            else:
+            elif field != "extra_near_full_m":  # says where alone
                 assert first == second, field
             continue
         if first.ndim and first.shape[0] > 1:

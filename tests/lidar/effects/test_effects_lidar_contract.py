@@ -79,6 +79,7 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
     },
     "lidar.particle_sizes": {"factor_1mm": 1.0, "factor_2mm": 1.0, "factor_4mm": 1.0, "factor_8mm": 1.0},
     "lidar.shared_particles": {"share": 0.0, "width_factor": None},
+    "lidar.near_response": {"full_m": None, "power": 0.0},
     "lidar.snow_cover": {"depth_mm": 0.0, "reflectivity": None, "uneven": None},
     "lidar.road_spray": {
         "water_g_per_m": 0.0,
@@ -167,6 +168,7 @@ def test_effects_of_one_place_stand_by_rank_and_then_in_the_order_of_the_catalog
         "wet_target",
         "limited_extent",
         "particle_sizes",
+        "near_response",
         "snow_cover",
         "particle_returns",
         "shared_particles",
@@ -377,6 +379,7 @@ SMOOTH = {
         "width_rad": 2.0**-12,
         "steepness": 2.0**-7,
     },
+    "lidar.near_response": {"full_m": 2.0**-7, "power": 2.0**-7},
     "lidar.particle_sizes": {"factor_1mm": 2.0**-7, "factor_8mm": 2.0**-7},
 }
 CASES = [(name, key) for name, keys in SMOOTH.items() for key in keys]
@@ -388,7 +391,8 @@ def response(name: str, state: Any, noise: Any, **values: Any) -> Tensor:
     changed = effect(state, noise)
     weight = torch.linspace(0.5, 1.5, BEAMS, dtype=torch.float64)[None, :, None]
     total = (weight * changed.returns.signal).sum() / 1e-4 + (weight * changed.returns.range_m).sum()
-    for field in ("density_scale", "threshold_scale", "extra_divergence_rad", "beam_density", "size_factors"):
+    fields = "density_scale threshold_scale extra_divergence_rad extra_near_full_m extra_near_power beam_density"
+    for field in (*fields.split(), "size_factors"):
         value = changed.field(field)
         if value is not None:
             each = weight[..., 0] if value.shape[-1] == BEAMS else 1.0

@@ -376,4 +376,12 @@ MUTANTS = (
         "0.05 * transform.sensor.max_range_m)",
         ("tests/lidar/test_open_air.py::test_the_share_is_that_of_drawn_sweeps",),
     ),
+    Mutant(
+        "near_response_of_particles_forgotten",
+        "the near-range response dims particles before the strongest one is chosen",
+        "torchweather.lidar.returns.beam_particles",
+        "full = brightness_per_sr * beam.particle_response(range_m)",
+        "full = brightness_per_sr * beam.near_response(range_m)",
+        ("tests/lidar/effects/test_effects_lidar_near.py::test_a_response_of_the_effect_is_one_of_the_sensor",),
+    ),
 )

@@ -6,6 +6,7 @@ from torchweather.lidar.effects.air import (
     LidarBeamDivergence,
     LidarExtinctionScale,
     LidarLimitedExtent,
+    LidarNearResponse,
     LidarParticleBackscatter,
     LidarPatchyWeather,
     LidarSectorLoss,
@@ -46,6 +47,7 @@ __all__ = [
     "LidarIsolatedReturnFilter",
     "LidarLastReturn",
     "LidarLimitedExtent",
+    "LidarNearResponse",
     "LidarParticleBackscatter",
     "LidarParticleDensityAzimuth",
     "LidarParticleDensityElevation",
@@ -91,6 +93,7 @@ for _effect in (
     LidarParticleDensityElevation,
     LidarParticleSizes,
     LidarSharedParticles,
+    LidarNearResponse,
     LidarSnowCover,
     LidarRoadSpray,
 ):

@@ -158,7 +158,7 @@ class BeamParticles(nn.Module):
             area = 0.25 * math.pi * diameter_m.square() / (1.0 - PUBLISHED_START)
             return full, diameter_m[None], area[None]
         brightness_per_sr = self.q_back / (4.0 * math.pi)
-        full = brightness_per_sr * beam.near_response(range_m) * clear / range_m.square()
+        full = brightness_per_sr * beam.particle_response(range_m) * clear / range_m.square()
         shape = (-1, *range_m.shape)
         return full, beam.diameter_m(range_m).reshape(shape), beam.area_m2(range_m).reshape(shape)
 
@@ -312,7 +312,8 @@ class BeamParticles(nn.Module):
         else:
             beam_m = beam.diameter_m(far_m[..., None])[..., 0]
             clear = torch.exp(-2.0 * extinction_per_m[:, None] * far_m)
-            full = self.q_back / (4.0 * math.pi) * beam.near_response(far_m) * clear / far_m.square()
+            response = beam.particle_response(far_m, of_each_sample=True)
+            full = self.q_back / (4.0 * math.pi) * response * clear / far_m.square()
         wanted = signal / full.clamp_min(1e-30)
         tails = self._tails(len(range_m)).to(wanted)
         if density_scale is not None:

@@ -202,7 +202,7 @@ class SoftReturn(nn.Module):
         source_m = source_m.flatten(-2)
         extinction = extinction_per_m.reshape(-1, *([1] * source_m.ndim))
         way_m = source_m if air is None else air.way_m(source_m)
-        response = beam.near_response(source_m) / source_m.square() * torch.exp(-2.0 * extinction * way_m)
+        response = beam.particle_response(source_m) / source_m.square() * torch.exp(-2.0 * extinction * way_m)
         if air is not None:
             response = response * air.density_at(source_m)
         beta = self.backscatter_per_m_sr(mor_m).reshape(-1, *([1] * range_m.ndim)) * self.pulse_length_m
