@@ -20,6 +20,7 @@ from torchweather.stages import STAGES
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+NOTEBOOKS = ROOT / "docs" / "tutorials"  # run as notebooks by tests/test_docs_notebooks.py
 CI_SCRIPT = ROOT / ".ci" / "run"
 
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -73,7 +74,12 @@ def runnable(page: Path) -> object:
 
 @pytest.mark.usefixtures("only_own_stages")
 @pytest.mark.parametrize(
-    "page", [runnable(page) for page in PAGES if any(block.language == "python" for block in blocks(page))]
+    "page",
+    [
+        runnable(page)
+        for page in PAGES
+        if page.parent != NOTEBOOKS and any(block.language == "python" for block in blocks(page))
+    ],
 )
 def test_python_on_a_page_runs_and_prints_what_the_page_says(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
