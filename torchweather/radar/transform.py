@@ -397,7 +397,7 @@ class RadarAttenuation(WeatherTransform):
         for name, value in known.items():
             tensor = torch.as_tensor(value, device=points.device)
             sizes = {"N": points.shape[-2:-1], "T": tensor.shape[-1:], "": ()}[KNOWN[name]]
-            found[name] = tensor.expand(*batch, *sizes).reshape(math.prod(batch), *sizes)
+            found[name] = tensor.expand((*batch, *sizes)).reshape(math.prod(batch), *sizes)
         return found
 
     def _through(self, state: RadarState, noise: Mapping[str, Tensor] | None, batch: Sequence[int]) -> RadarState:

@@ -343,6 +343,16 @@ def test_speeds_of_clutter_scatter_more_by_as_much() -> None:
     assert speeds[1].std() == pytest.approx(wanted, rel=4.0 / math.sqrt(2 * number))
 
 
+def test_a_single_list_takes_the_number_of_its_frame() -> None:
+    moved = rain(effects=[EFFECTS["radar.range_migration"](m_per_frame=-0.5)])
+    points, number = detections()[0], torch.tensor(4.0)
+    alone = moved.run(points, seed=2, frame_number=number)
+    batched = moved.run(points[None], seed=torch.tensor([2]), frame_number=number[None])
+    assert isinstance(alone.points, Tensor)
+    assert isinstance(batched.points, Tensor)
+    assert torch.equal(alone.points, batched.points[0])
+
+
 def test_ranges_drift_by_the_frame_along_their_directions() -> None:
     effects = [
         EFFECTS["radar.range_migration"](m_per_frame=-0.5),
