@@ -22,8 +22,8 @@ from torchweather.recipes import list_recipes
 
 ROOT = Path(__file__).parents[1]
 SITE = ROOT / "docs" / "_site"
-SECTIONS = ["Home", "Tutorials", "How-to", "Reference", "Explanation", "Validation", "Research notes"]
-WRITTEN_AT_BUILD = "reference/"
+SECTIONS = ["Home", "Tutorials", "Gallery", "How-to", "Reference", "Explanation", "Validation", "Research notes"]
+WRITTEN_AT_BUILD = ("reference/", "gallery/")
 
 
 class Generated:

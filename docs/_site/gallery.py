@@ -1,0 +1,82 @@
+"""The gallery's pages, written when the site is built from ``docs/images/gallery/gallery.json``."""
+
+from __future__ import annotations
+
+import html
+import json
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+TITLES = {"camera": "Camera", "lidar": "LiDAR", "radar": "Radar"}
+ABOUT = {
+    "camera": "Weathers and effects are on one photograph of guessed depth. Presets look at the embedded test track.",
+    "lidar": "The embedded test track from behind the sensor: objects grey, particles orange, lost objects blue.",
+    "radar": "Detections of the embedded test track: power against range.",
+}
+NOT_SHOWN = {
+    "camera": "",
+    "lidar": "Presets without a scan pattern have no picture, because a scan needs one.",
+    "radar": "The preset that turns has no picture, because it gives [power maps](../how-to/radar-images.md).",
+}
+MORE = {
+    "camera": "[What each effect does to statistics](../effects-camera.md); [night](../how-to/night-scenes.md).",
+    "lidar": "[What each effect does to statistics](../effects-lidar.md).",
+    "radar": "[What each effect does to statistics](../effects-radar.md).",
+}
+PICTURES = "images/gallery"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add a page for each sensor."""
+    table = json.loads((Path(config.docs_dir) / PICTURES / "gallery.json").read_text(encoding="utf-8"))
+    for sensor in TITLES:
+        files.append(File.generated(config, f"gallery/{sensor}.md", content=page(sensor, table)))
+    return files
+
+
+def page(sensor: str, table: dict[str, Any]) -> str:
+    """Pictures of a sensor by group, each with its lines."""
+    shown = [entry for entry in table["entries"] if entry["sensor"] == sensor and entry["group"]]
+    lines = [
+        f"# Gallery: {TITLES[sensor]}",
+        "",
+        f"{ABOUT[sensor]} Drag a slider: clear air, or the weather without the effect, is on its left.",
+        f"Each picture has the lines that made it. These come first, in a clone. {NOT_SHOWN[sensor]}".rstrip(),
+        "",
+        *code(table["setup"][sensor]),
+        "",
+        MORE[sensor],
+    ]
+    for group, entries in groupby(shown, key=lambda entry: entry["group"]):
+        lines += ["", f"## {group}", "", '<div class="gallery" markdown>']
+        for entry in entries:
+            lines += ["", '<div class="gallery-entry" markdown>', "", slider(entry), ""]
+            lines += ['??? example "' + entry["title"].replace('"', "'") + '"', ""]
+            lines += [f"    {line}".rstrip() for line in code(entry["code"])]
+            lines += ["", "</div>"]
+        lines += ["", "</div>"]
+    return "\n".join([*lines, ""])
+
+
+def code(text: str) -> list[str]:
+    """Block of Python."""
+    return ["```python", *text.rstrip().splitlines(), "```"]
+
+
+def slider(entry: dict[str, Any]) -> str:
+    """The picture over the one that it is compared with, and a slider between both."""
+    width, height = entry["size"]
+    title = html.escape(entry["title"])
+    size = f'width="{width}" height="{height}" loading="lazy"'
+    after, before = (f"../../{PICTURES}/{entry[key]}.webp" for key in ("name", "before"))
+    return (
+        f'<div class="before-after" style="aspect-ratio: {width} / {height}">'
+        f'<img src="{after}" alt="{title}" {size}>'
+        f'<img class="before" src="{before}" alt="the same without" {size}>'
+        f'<input type="range" min="0" max="100" value="50" aria-label="{title}: share of the picture without it">'
+        "</div>"
+    )
