@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor
 
+from torchweather.atmosphere.named_weather import ALIASES, NamedWeather
 from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import (
     Distribution,
@@ -37,6 +38,7 @@ from torchweather.core.errors import (
     owner_name,
 )
 from torchweather.core.fields import between, check_fields
+from torchweather.core.plugins import find_plugin, plugin_names
 from torchweather.core.random import keyed_stream
 from torchweather.core.schema import MAPPING, NUMBERS, ROWS, check_value
 from torchweather.physics import (
@@ -662,15 +664,6 @@ CONDITIONS: dict[str, type[Any]] = {}
 # It builds on this file and is found by its name, so that a file can hold a condition in a process without any yet.
 CONDITIONS_ROOM = "torchweather.atmosphere.conditions"
 EXAMPLES = {"rain": "rain:rate=25", "fog": "fog:mor=100", "snow": "snow:rate=1"}
-# Short names that the command line takes.
-ALIASES = {
-    "rate": "rate_mm_per_h",
-    "mor": "mor_m",
-    "visibility": "mor_m",
-    "visibility_m": "mor_m",
-    "patches": "patch_log_std",
-    "patch_length": "patch_length_m",
-}
 
 
 def weather_from_dict(values: Mapping[str, Any]) -> Weather:
@@ -682,16 +675,31 @@ def weather_from_dict(values: Mapping[str, Any]) -> Weather:
     if kind == "mixture":
         check_value(values.get("parts"), ROWS, "Mixture", "parts")
         return Mixture(*(weather_from_dict(part) for part in values["parts"]))
-    kinds = weather_kinds()
-    check_one_of("weather kind", kind, kinds, owner="torchweather")
-    found: Weather = kinds[str(kind)].from_dict(values)
+    check_one_of("weather kind", kind, weather_names(), owner="torchweather")
+    found: Weather = weather_kind(str(kind)).from_dict(values)
     return found
 
 
 def weather_kinds() -> dict[str, type[Any]]:
-    """Kind to class of what is in the air and of what lies on things."""
+    """Kind to class of what is in the air and of what lies on things, in the library."""
     importlib.import_module(CONDITIONS_ROOM)
     return {**WEATHERS, **CONDITIONS}
+
+
+def weather_names() -> list[str]:
+    """Kinds of the library and names of installed packages."""
+    return [*weather_kinds(), *plugin_names("weathers")]
+
+
+def weather_kind(name: str) -> Any:
+    """The class of a kind, or the weather that a package adds under a name of ``weather_names``.
+
+    Raises:
+        InputValueError: the name has two owners.
+    """
+    kinds = weather_kinds()
+    plugin = find_plugin("weathers", name, kinds)
+    return kinds[name] if plugin is None else NamedWeather(plugin, Weather)
 
 
 def parse_weather(text: str, *, random: bool = False) -> Weather:
@@ -715,9 +723,9 @@ def parse_weather(text: str, *, random: bool = False) -> Weather:
 
 def _parse_one(text: str) -> Weather:
     kind, _, arguments = text.strip().partition(":")
-    kinds = weather_kinds()
-    check_one_of("weather", kind, kinds, owner="torchweather")
-    aliases = ALIASES if kind in WEATHERS else kinds[kind].aliases
+    check_one_of("weather", kind, weather_names(), owner="torchweather")
+    found = weather_kind(kind)
+    aliases = ALIASES if kind in WEATHERS else found.aliases
     values: dict[str, Any] = {}
     for argument in filter(None, arguments.split(",")):
         key, equals, value = argument.partition("=")
@@ -726,7 +734,7 @@ def _parse_one(text: str) -> Weather:
                 f"torchweather: weather {text!r}: wanted key=value, for example rate=25; got {argument!r}."
             )
         values[aliases.get(key.strip(), key.strip())] = _plain(value.strip())
-    weather: Weather = kinds[kind].from_dict(values)
+    weather: Weather = found.from_dict(values)
     if kind in WEATHERS and weather.intensity_name not in values:
         # The constructors' own value is clear air, which nobody writes this for.
         wanted = "a visibility in metres" if kind == "fog" else "a rate in mm/h"

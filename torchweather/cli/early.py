@@ -12,6 +12,7 @@ from pathlib import Path
 from torchweather.cli.apply import ARGUMENTS
 from torchweather.cli.listing import kept_names
 from torchweather.core.exceptions import InputValueError
+from torchweather.core.plugins import find_recipe, plugin_names, recipe_names
 from torchweather.core.text import nearest_name
 
 __all__ = ["refuse_early"]
@@ -54,7 +55,7 @@ def _plain(args: argparse.Namespace) -> bool:
 
 def _refuse_weather(text: str) -> None:
     names = kept_names()
-    kinds = [one["name"] for one in (*names["weathers"], *names["conditions"])]
+    kinds = [one["name"] for one in (*names["weathers"], *names["conditions"])] + plugin_names("weathers")
     for part in text.split("+"):
         kind = part.strip().partition(":")[0]
         if kind not in kinds:
@@ -68,6 +69,7 @@ def _refuse_preset(text: str) -> None:
     if preset.endswith(OWN_FILES) or Path(preset).exists():
         return
     presets = [one["name"].removeprefix(f"{kind}:") for one in kept_names()["sensors"] if one["name"].startswith(kind)]
+    presets += plugin_names("sensors", f"{kind}.")
     if kind in SENSORS and preset and preset not in presets:
         raise InputValueError(
             f"{SENSORS[kind]}: preset must be one of {', '.join(presets)}; got {preset!r}."
@@ -81,9 +83,10 @@ def _refuse_recipe(wanted: str) -> None:
         return
     names = kept_names()
     every = [one["name"] for kind in ("recipes", "pipelines", "suites") for one in names[kind]]
-    if any(wanted in (name, name.rpartition("/")[2]) for name in every):
+    if any(wanted in (name, name.rpartition("/")[2]) for name in every) or find_recipe(wanted, every):
         return
-    known = sorted(one["name"] for one in names["recipes"] if one["kind"] == "transform")
+    own = (one["name"] for one in names["recipes"] if one["kind"] == "transform")
+    known = sorted([*own, *recipe_names(["transform"])])
     near = nearest_name(wanted, [*known, *(name.rpartition("/")[2] for name in known)])
     raise InputValueError(
         f"torchweather: recipe must be one of {', '.join(known)}, or a file ending in .yaml; got {wanted!r}.{near}"

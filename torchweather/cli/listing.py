@@ -1,4 +1,4 @@
-"""``torchweather list``: recipes, sensors, weathers, size distributions and stages."""
+"""``torchweather list``: recipes, sensors, weathers, size distributions, effects and stages."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from typing import Any
 
 from torchweather.cli.output import print_json, print_lines
 from torchweather.core.compiled import compiled_path
+from torchweather.core.exceptions import TorchweatherError
+from torchweather.core.plugins import GROUPS, Plugin, plugins, recipe_files, refusal
 from torchweather.core.text import aligned
 
 NAME = "list"
-SUMMARY = "recipes, sensor presets, weathers, size distributions, stages"
+SUMMARY = "recipes, sensor presets, weathers, size distributions, effects, stages"
 DESCRIPTION = "Everything that has a name."
 NAMES_FILE = "names.json"  # written by python -m tests.listed_names
 
@@ -24,7 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the names."""
-    names = kept_names() | {"particles_rendered_by": compiled_path()}  # of this machine
+    names = kept_names()
+    # Of this machine:
+    names |= {"added_by_packages": added_by_packages(names), "particles_rendered_by": compiled_path()}
     if args.json:
         print_json(names)
     else:
@@ -39,13 +43,55 @@ def kept_names() -> dict[str, Any]:
     return names
 
 
+def added_by_packages(names: dict[str, Any]) -> list[dict[str, Any]]:
+    """Names that installed packages add, by group; nothing of a package is imported.
+
+    Args:
+        names: of the library.
+
+    Returns:
+        Rows of ``group``, ``name``, ``package``, and ``refused``: why the name cannot be used, ``None`` where it can.
+    """
+    own = {
+        "sensors": [sensor["name"].replace(":", ".", 1) for sensor in names["sensors"]],
+        "weathers": [one["name"] for one in (*names["weathers"], *names["conditions"])],
+        "effects": names["effects"],
+        "recipes": [recipe["name"] for recipe in names["recipes"]],
+    }
+    found = [(group, *row) for group in GROUPS for row in _of_group(group)]
+    return [
+        {
+            "group": group,
+            "name": name,
+            "package": plugin.package,
+            "refused": broken
+            or refusal(name, [other for of, same, other, _ in found if (of, same) == (group, name)], own[group]),
+        }
+        for group, name, plugin, broken in found
+    ]
+
+
+def _of_group(group: str) -> list[tuple[str, Plugin, str | None]]:
+    """Names, their entry points, and what is wrong with these."""
+    every = [(name, one) for name, owners in plugins(group).items() for one in owners]
+    if group != "recipes":
+        return [(name, one, None) for name, one in every]
+    rows: list[tuple[str, Plugin, str | None]] = []
+    for prefix, one in every:
+        try:
+            rows += [(f"{prefix}/{name}", one, None) for name in recipe_files(one)]
+        except TorchweatherError as error:
+            rows.append((f"{prefix}/", one, str(error)))
+    return rows
+
+
 def everything() -> dict[str, Any]:
     """All names of the library as plain values."""
     from torchweather.atmosphere.weather import REHEARSE, WEATHERS, weather_kinds
     from torchweather.physics import FOG, RAIN, SNOW
     from torchweather.recipes import MultiSensorRecipe, Recipe, SuiteRecipe, list_recipes
     from torchweather.sensors import SENSOR_CLASSES
-    from torchweather.stages import STAGES
+    from torchweather.stages import EFFECTS, STAGES
 
     def described(recipe: Recipe) -> dict[str, Any]:
         values: dict[str, Any] = {"name": recipe.name, "kind": recipe.kind, "title": recipe.title}
@@ -73,6 +119,7 @@ def everything() -> dict[str, Any]:
             {"name": kind, "fields": list(one.ranges)} for kind, one in weather_kinds().items() if kind not in WEATHERS
         ],
         "size_distributions": {"rain": sorted(RAIN), "fog": sorted({*FOG, REHEARSE}), "snow": sorted(SNOW)},
+        "effects": sorted(name for name, kind in EFFECTS.items() if kind.__module__.startswith("torchweather.")),
         "stages": sorted(name for name, kind in STAGES.items() if kind.__module__.startswith("torchweather.")),
     }
 
@@ -98,7 +145,14 @@ def listing_text(names: dict[str, Any]) -> str:
     lines += ["  " + line for line in aligned([["kind", "knob", "size distributions"], *rows])]
     lines += ["", "Water and snow on things (--weather rain:rate=10+KIND:FIELD=VALUE)", ""]
     lines += ["  " + line for line in aligned([[one["name"], ", ".join(one["fields"])] for one in names["conditions"]])]
+    lines += ["", "Effects (recipes: options.effects)", "", *(f"  {name}" for name in names["effects"])]
     lines += ["", "Stages", "", *(f"  {name}" for name in names["stages"])]
+    added = names["added_by_packages"]
+    if added:
+        rows = [[one["group"], one["name"], one["package"]] for one in added]
+        lines += ["", "Added by other packages", ""]
+        lines += ["  " + line for line in aligned([["group", "name", "package"], *rows])]
+        lines += [f"  refused: {one['refused']}" for one in added if one["refused"]]
     return "\n".join(
         [*lines, "", f"Drops and flakes before cameras, LiDAR clouds: rendered by {names['particles_rendered_by']}"]
     )

@@ -21,7 +21,7 @@ from torchweather.core.precision import AtLeastSingle
 from torchweather.core.random import in_parallel, sample_seeds
 from torchweather.core.schema import check_format, check_value, one_of, refuse_unknown
 from torchweather.core.yaml_file import dump_yaml, parse_yaml
-from torchweather.pipeline.registry import STAGES, load_catalogue
+from torchweather.pipeline.registry import STAGES, load_catalogue, load_stage
 from torchweather.pipeline.stage import Stage, State
 
 __all__ = ["Chain"]
@@ -146,6 +146,7 @@ class Chain(AtLeastSingle):
                 raise TorchweatherError(
                     f"{owner}: stages[{number}]: wanted a name of its own for each stage; got {name!r}."
                 )
+            load_stage(kind)
             check_value(kind, one_of(STAGES), owner, f"stages[{number}].stage")
             try:
                 stages[name] = STAGES[kind](**arguments)

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import Distribution, with_distributions
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, check_one_of
+from torchweather.core.plugins import find_plugin, plugin_names
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.registry import load_catalogue, register
 from torchweather.pipeline.stage import Stage
@@ -23,6 +24,7 @@ from torchweather.pipeline.stage import Stage
 __all__ = ["CAMERA_PLACES", "EFFECTS", "Effect", "Parameter", "effect_from_dict", "register_effect", "with_effects"]
 
 
+LIBRARY = "torchweather."  # modules of the library's own effects
 CAMERA_PLACES = ("scene", "extinction_and_airlight", "particle_veil", "exposure_control", "quantise")
 """Where effects of a camera stand, in the order of the light: in front of all stages, behind the fog, behind the
 particles, behind the control of the exposure, behind the converter. What a chain lacks has its place behind the one
@@ -292,8 +294,20 @@ def effect_from_dict(values: Mapping[str, Any]) -> Effect:
     name = arguments.pop("effect", None)
     if not all(isinstance(key, str) for key in arguments):
         raise InputTypeError(f"effect_from_dict: keys must be text; got {list(arguments)!r:.200}.")
-    check_one_of("effect", name, EFFECTS, owner="effect_from_dict")
+    check_one_of("effect", name, [*EFFECTS, *plugin_names("effects")], owner="effect_from_dict")
+    _load_effect(name)
     return EFFECTS[name](**with_distributions(arguments, owner=f"effect_from_dict: {name}"))
+
+
+def _load_effect(name: str) -> None:
+    """Register the effect that an installed package adds under an id; do nothing where none does."""
+    plugin = find_plugin("effects", name, [one for one, kind in EFFECTS.items() if kind.__module__.startswith(LIBRARY)])
+    if plugin is None:
+        return
+    effect = plugin.load()
+    if not (isinstance(effect, type) and issubclass(effect, Effect) and getattr(effect, "id", None) == name):
+        raise plugin.error(f"is no effect: expected a subclass of Effect whose id is {name!r}; got {effect!r:.200}.")
+    register_effect(effect)
 
 
 def with_effects(chain: Chain, effects: Iterable[Effect]) -> Chain:

@@ -6,9 +6,10 @@ import importlib
 from typing import TypeVar
 
 from torchweather.core.errors import InputValueError
+from torchweather.core.plugins import plugins
 from torchweather.pipeline.stage import Stage
 
-__all__ = ["STAGES", "load_catalogue", "register"]
+__all__ = ["STAGES", "load_catalogue", "load_stage", "register"]
 
 STAGES: dict[str, type[Stage]] = {}
 # Importing it registers the stages and effects of all sensors. It lies above this room and is found by its name, so
@@ -19,6 +20,14 @@ CATALOGUE = "torchweather.stages"
 def load_catalogue() -> None:
     """Register the stages and effects of all sensors."""
     importlib.import_module(CATALOGUE)
+
+
+def load_stage(name: object) -> None:
+    """Register the effect of an installed package whose class has a name; do nothing where none has."""
+    for owners in plugins("effects").values():
+        for plugin in owners:
+            if name not in STAGES and plugin.entry.attr.rpartition(".")[2] == name:
+                register(plugin.load())
 
 
 T = TypeVar("T", bound=type[Stage])

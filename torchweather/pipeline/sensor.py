@@ -15,6 +15,7 @@ from torch import Tensor
 from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import Distribution, with_distributions
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, check_one_of, nearest_name
+from torchweather.core.plugins import Plugin, find_plugin, plugin_names
 from torchweather.core.schema import ANY, check_keys, field_keys, one_of
 from torchweather.core.yaml_file import parse_yaml, read_yaml
 
@@ -31,6 +32,11 @@ def _presets() -> dict[str, dict[str, dict[str, Any]]]:
     text = resources.files("torchweather").joinpath("presets", "sensors.yaml").read_text(encoding="utf-8")
     loaded = parse_yaml(text, "sensors.yaml", "the presets")
     return {kind: dict(loaded[kind]) for kind in SENSOR_KINDS}
+
+
+def _preset_names(kind: str) -> list[str]:
+    """Presets of the library and of installed packages."""
+    return [*_presets()[kind], *plugin_names("sensors", f"{kind}.")]
 
 
 class Sensor:
@@ -96,13 +102,14 @@ class Sensor:
         """The named sensor of the library, or of a YAML file, with any field replaced.
 
         Args:
-            name: a preset, or the path of a ``.yaml``/``.yml`` file with the sensor's own fields. Such a file may
-                name a ``preset`` to start from; ``kind``, where given, must be this sensor's.
+            name: a preset of the library or of an installed package, or the path of a ``.yaml``/``.yml`` file with
+                the sensor's own fields. Such a file may name a ``preset`` to start from; ``kind``, where given, must be
+                this sensor's.
             overrides: fields that replace those of the preset or the file.
 
         Raises:
             ValueError: an unknown preset, field or value.
-            TorchweatherError: a file that is missing or broken, or a field in it that is wrong.
+            TorchweatherError: a file that is missing or broken, or a field in it that is wrong; a package that is.
 
         Example:
             >>> from torchweather.sensors import Camera
@@ -112,13 +119,16 @@ class Sensor:
         if str(name).lower().endswith(SENSOR_FILES):
             return cls._from_file(Path(name), overrides)
         known = _presets()[cls.kind]
-        check_one_of("preset", name, known, owner=cls)
+        check_one_of("preset", name, _preset_names(cls.kind), owner=cls)
+        plugin = find_plugin("sensors", f"{cls.kind}.{name}", [f"{cls.kind}.{one}" for one in known])
+        if plugin is not None:
+            return cls._of_a_package(plugin, overrides)
         values = {key: value for key, value in known[name].items() if key != "source"}
         return cls.from_dict({**values, **overrides})
 
     @classmethod
     def presets(cls) -> dict[str, str]:
-        """Names of the presets and where their numbers come from."""
+        """Names of the library's presets and where their numbers come from."""
         return {name: str(values.get("source", "")) for name, values in _presets()[cls.kind].items()}
 
     @classmethod
@@ -147,12 +157,30 @@ class Sensor:
         return cls.from_dict(given) if preset is None else cls.preset(str(preset), **given)
 
     @classmethod
+    def _of_a_package(cls, plugin: Plugin, overrides: Mapping[str, Any]) -> Self:
+        """The sensor of the plain values that a package holds; errors name the package."""
+        values = plugin.load()
+        if not isinstance(values, Mapping):
+            raise plugin.error(
+                f"is no preset: expected a mapping of the fields of a {cls.kind}, of source and perhaps of a preset "
+                f"to start from; got {type(values).__name__}."
+            )
+        given = {"kind": cls.kind, **{key: value for key, value in values.items() if key != "source"}}
+        try:
+            if "preset" in given:
+                check_one_of("preset", given["preset"], _presets()[cls.kind], owner=cls)
+            built = cls.from_values(given)
+        except (ValueError, TypeError) as error:
+            raise plugin.error(f"is no {cls.kind}: {error}") from error
+        return cls.from_values({**given, **overrides}) if overrides else built
+
+    @classmethod
     def _from_file(cls, path: Path, overrides: Mapping[str, Any]) -> Self:
         """The sensor of a YAML file; errors carry the path and the field."""
         values = read_yaml(path, f"the fields of a {cls.kind}")
         if isinstance(values, dict) and list(values) == [cls.kind]:  # one section, named by the kind
             values = values[cls.kind]
-        keys = {"kind": one_of([cls.kind]), "preset": one_of(_presets()[cls.kind]), "source": ANY, **field_keys(cls)}
+        keys = {"kind": one_of([cls.kind]), "preset": one_of(_preset_names(cls.kind)), "source": ANY, **field_keys(cls)}
         for key in values if isinstance(values, dict) else ():
             if key not in keys and not nearest_name(key, keys):
                 raise TorchweatherError(

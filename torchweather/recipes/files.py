@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import torchweather
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherError, nearest_name
+from torchweather.core.plugins import find_recipe, kind_of_file, plugins, recipe_name, recipe_names
 
 __all__ = ["KINDS", "SUFFIXES", "find", "name_of", "ready_made", "recipes_folder"]
 
 KINDS = ("transform", "multi_sensor", "suite")
 """A weather on one sensor; on several, or one of several weathers; weathers of five severities."""
 SUFFIXES = (".yaml", ".yml")
-# A name is looked up among all files: parsing each of them takes a third of a second.
-KIND_LINE = re.compile(r"^kind: *(\w+) *$", re.MULTILINE)
 
 
 def recipes_folder() -> Path:
@@ -38,14 +36,16 @@ def ready_made(kinds: Sequence[str] = KINDS) -> dict[str, Path]:
     _check_kinds(kinds)
     found: dict[str, dict[str, Path]] = {kind: {} for kind in kinds}
     for path in sorted(recipes_folder().rglob("*.yaml")):
-        line = KIND_LINE.search(path.read_text(encoding="utf-8"))
-        if line is not None and line[1] in found:
-            found[line[1]][name_of(path)] = path
+        kind = kind_of_file(path)
+        if kind in found:
+            found[kind][name_of(path)] = path
     return {name: path for files in found.values() for name, path in files.items()}
 
 
 def find(name_or_path: str | os.PathLike[str], kinds: Sequence[str] = KINDS) -> Path:
     """The file of a name, or of a path; where a short name is of several kinds, the first of ``kinds`` is meant.
+
+    Recipes that packages add have their whole names alone.
 
     Raises:
         ValueError: no recipe of the name and the kinds, or several of one kind.
@@ -54,6 +54,9 @@ def find(name_or_path: str | os.PathLike[str], kinds: Sequence[str] = KINDS) -> 
     if isinstance(name_or_path, os.PathLike) or str(name_or_path).endswith(SUFFIXES):
         return Path(name_or_path)
     wanted = str(name_or_path)
+    added = find_recipe(wanted, ready_made()) if plugins("recipes") else None
+    if added is not None:
+        return added
     for kind in kinds:
         found = {name: path for name, path in ready_made([kind]).items() if wanted in (name, name.rpartition("/")[2])}
         if len(found) == 1:
@@ -66,7 +69,7 @@ def find(name_or_path: str | os.PathLike[str], kinds: Sequence[str] = KINDS) -> 
                 f"torchweather: recipe {wanted!r} is of kind {kind}; expected {' or '.join(kinds)} (see torchweather "
                 "list)."
             )
-    names = sorted(ready_made(kinds))
+    names = sorted([*ready_made(kinds), *recipe_names(kinds)])
     near = nearest_name(wanted, [*names, *(name.rpartition("/")[2] for name in names)])
     raise InputValueError(
         f"torchweather: recipe must be one of {', '.join(names)}, or a file ending in .yaml; got {wanted!r}.{near}"
@@ -74,7 +77,13 @@ def find(name_or_path: str | os.PathLike[str], kinds: Sequence[str] = KINDS) -> 
 
 
 def name_of(path: Path) -> str:
-    """Path below the recipes' folder without its ending, or the name of a file elsewhere."""
+    """Path below the recipes' folder without its ending, or the name of a file elsewhere.
+
+    A file in a package that adds recipes has the whole name that finds it.
+    """
+    added = recipe_name(path)
+    if added is not None:
+        return added
     folder = recipes_folder()
     inside = path.is_relative_to(folder)
     return (path.relative_to(folder) if inside else Path(path.name)).with_name(path.stem).as_posix()

@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
-from torchweather.atmosphere.weather import WEATHERS, Weather, weather_from_dict, weather_kinds
+from torchweather.atmosphere.weather import WEATHERS, Weather, weather_from_dict, weather_kind, weather_names
 from torchweather.core.errors import TorchweatherError
 from torchweather.core.schema import MAPPING, ROWS, check_keys, check_value, one_of, refuse_unknown
 from torchweather.recipes.files import name_of
@@ -133,7 +133,7 @@ def _weather(name: str, fields: Any, file: str) -> dict[str, Any]:
     parts = found.get("parts", [found])
     check_value(parts, ROWS, file, f"{at}.parts")
     for part in parts:
-        check_value(part.get("kind"), one_of(weather_kinds()), file, f"{at}.kind")
+        check_value(part.get("kind"), one_of(weather_names()), file, f"{at}.kind")
         if part["kind"] in WEATHERS and _intensity(part) not in part:
             raise TorchweatherError(f"{file}: {at}.{_intensity(part)} is missing; expected a number or {SEVERITIES}.")
     varied = [part[_intensity(part)] for part in parts if isinstance(part.get(_intensity(part)), list)]
@@ -147,7 +147,7 @@ def _weather(name: str, fields: Any, file: str) -> dict[str, Any]:
 
 
 def _intensity(fields: Mapping[str, Any]) -> str:
-    return str(weather_kinds()[fields["kind"]].intensity_name)
+    return str(weather_kind(fields["kind"]).intensity_name)
 
 
 def _condition(name: str, fields: Mapping[str, Any], severity: int) -> Condition:

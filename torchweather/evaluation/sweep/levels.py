@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
-from torchweather.atmosphere.weather import ALIASES, WEATHERS, Weather, parse_weather
+from torchweather.atmosphere.named_weather import ALIASES
+from torchweather.atmosphere.weather import WEATHERS, Weather, parse_weather
 from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError
 
