@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -93,9 +93,9 @@ class Watched(CameraSubject):
 
     asked: Any = None
 
-    def render(self, weather: Weather, seed: int) -> Tensor:
+    def render(self, weather: Weather, seed: int, effects: Sequence[Mapping[str, Any]] = ()) -> Tensor:
         self.asked.append((self.name, weather, seed))
-        return super().render(weather, seed)
+        return super().render(weather, seed, effects)
 
 
 def test_a_frame_keeps_its_storm_over_all_severities_and_frames_differ(tmp_path: Path) -> None:

@@ -126,7 +126,7 @@ WRONG: dict[str, list[tuple[dict[str, Any], str]]] = {
         ({"sensor": {}}, "sensor.kind must be one of camera, lidar, radar; got None"),
         ({"sensor": {"kind": "camera", "preset": "lucid-tritom"}}, "sensor: .*Did you mean 'lucid-triton'"),
         ({"options": {"airligth": 1}}, "unknown key 'options.airligth'.*Did you mean 'airlight'"),
-        ({"weathers": {}}, "weathers must be keys with values"),
+        ({"weathers": {}}, "weathers or effects is missing; expected keys with values"),
         ({"weathers": {"rian": {"mor_m": RATES}}}, "weathers.rian.kind must be one of .*Did you mean 'rain'"),
         ({"weathers": {"rain": 5}}, "weathers.rain must be keys with values"),
         ({"weathers": {"both": {"parts": {}}}}, "weathers.both.parts must be a list of entries with keys"),

@@ -97,7 +97,8 @@ def everything() -> dict[str, Any]:
         values: dict[str, Any] = {"name": recipe.name, "kind": recipe.kind, "title": recipe.title}
         if isinstance(recipe, SuiteRecipe):
             weathers = {name: dict(fields) for name, fields in recipe.weathers.items()}
-            return {**values, "sensor": recipe.sensor_kind, "weathers": weathers}
+            effects = {"effects": {name: dict(fields) for name, fields in recipe.effects.items()}}
+            return {**values, "sensor": recipe.sensor_kind, "weathers": weathers, **(effects if recipe.effects else {})}
         values["weather"] = dict(recipe.weather)
         if isinstance(recipe, MultiSensorRecipe):
             return {**values, "sensors": {key: one.sensor_name for key, one in recipe.transforms.items()}}

@@ -49,8 +49,8 @@ def list_recipes(kind: Kinds = None) -> Sequence[Recipe]:
         kind: ``transform``, ``multi_sensor`` or ``suite``, or several of them; ``None``: all.
 
     Example:
-        >>> [recipe.name for recipe in list_recipes("suite")]
-        ['camera/robustness', 'lidar/robustness', 'radar/robustness']
+        >>> [recipe.name for recipe in list_recipes("suite") if recipe.sensor_kind == "lidar"]
+        ['lidar/3d-corruptions-ad', 'lidar/robo3d', 'lidar/robustness']
     """
     return sorted((read_recipe(path) for path in ready_made(_kinds(kind)).values()), key=lambda recipe: recipe.name)
 

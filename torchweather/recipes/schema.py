@@ -18,7 +18,9 @@ A recipe holds ``format: torchweather-recipe/2``, ``title`` (in words), ``kind``
 - ``suite``: weathers of five severities, for the test of a detector of one sensor. ``sensor``: ``kind``, and a
   ``preset`` or fields where the severities belong to one sensor; without them the data's own sensor is taken;
   ``weathers``: by name, the weather's fields (``kind`` where the name is none), its rate or visibility a list of five,
-  lightest first; of a mixture (``parts``) one part or several have a list; ``options``: as above.
+  lightest first; of a mixture (``parts``) one part or several have a list; ``effects``: by name, an ``effect`` of the
+  sensor with a list in the place of one parameter, in clear air; ``severities``: how many, where not five;
+  ``options``: as above.
 """
 
 from __future__ import annotations
@@ -63,7 +65,13 @@ SCHEMA: dict[str, dict[str, Key]] = {
         "inputs": MAPPING,
         "mosaic_clear": FLAG,
     },
-    "suite": {"sensor": MAPPING.needed, "weathers": FILLED, "options": MAPPING.or_null},
+    "suite": {
+        "sensor": MAPPING.needed,
+        "weathers": MAPPING.or_null,
+        "effects": MAPPING.or_null,
+        "severities": Key("a whole number from 2 to 10", lambda value: type(value) is int and 2 <= value <= 10),
+        "options": MAPPING.or_null,
+    },
 }
 """By kind: the keys beside ``format``, ``kind`` and ``title``."""
 

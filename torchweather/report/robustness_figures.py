@@ -14,12 +14,14 @@ from torch import Tensor
 
 from torchweather.evaluation.robustness import BoxTruth, ConditionResult
 from torchweather.evaluation.robustness.frames import Look
-from torchweather.evaluation.sweep import Level
 from torchweather.report.figures import MUTED, SHADES, STYLE, plain_axes, png_figure_uri, svg_uri
 from torchweather.report.lidar_figures import axes_from_above
 from torchweather.report.pictures import jpeg_uri
 
 __all__ = ["FOUND", "LEGENDS", "TRUE", "WRONG", "look_uri", "performance_uri"]
+
+# Of a weather that varies; other amounts and parameters by their own names.
+VARIED = {"rate_mm_per_h": "rate", "mor_m": "visibility", "water_mm": "water"}
 
 # Told apart by every eye, on light and on dark.
 FOUND, TRUE, IGNORED, WRONG, RIGHT = "#ff8c1a", "#35c4f0", "#b8b8c4", "#e8590c", "#8a97a3"
@@ -42,7 +44,6 @@ def performance_uri(group: Sequence[ConditionResult], clear: float, measure: str
     place = np.arange(len(group))
     values = np.array([each.value for each in group])
     seeds = np.array([each.by_seed for each in group])
-    unit = Level(first.name, first.kind, first.knob, first.value, 1, first.weather).unit
     with mpl.rc_context({**STYLE, "font.size": 9.5}):
         figure = Figure(figsize=(4.2, 2.7))
         axes = figure.add_axes((0.13, 0.19, 0.84, 0.7))
@@ -63,7 +64,8 @@ def performance_uri(group: Sequence[ConditionResult], clear: float, measure: str
         axes.set_xlim(-0.4, len(group) - 0.6 if len(group) > 1 else 0.4)
         axes.set_ylim(-0.03, 1.08)
         axes.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0])
-        axes.set_xlabel(f"{'rate' if first.knob.startswith('rate') else 'visibility'}, {unit}", labelpad=2)
+        varied = VARIED.get(first.knob, first.knob.replace("_", " "))
+        axes.set_xlabel(f"{varied}, {first.unit}" if first.unit else varied, labelpad=2)
         axes.set_title(f"{measure} in {first.name}", loc="left", pad=5)
         return svg_uri(figure)
 

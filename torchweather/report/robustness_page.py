@@ -13,7 +13,6 @@ from torchweather.evaluation.robustness import ConditionResult, Declaration, Rat
 from torchweather.evaluation.robustness.baseline import reference_of
 from torchweather.evaluation.robustness.frames import Look
 from torchweather.evaluation.robustness.remarks import interval_text, remarks
-from torchweather.evaluation.sweep import Level
 from torchweather.io import atomic_folder, write_table
 from torchweather.report import parts
 from torchweather.report.correlation_page import write_correlation
@@ -145,7 +144,7 @@ def _lead(summary: Mapping[str, Any], result: RobustnessResult, found: Rates) ->
     there = [each for each in result.conditions if not math.isnan(each.value)]
     if there:
         worst = min(there, key=lambda each: each.value)
-        level = _level(worst.condition).text
+        level = worst.condition.text
         text += f" It is lowest in {level[:1].lower()}{level[1:]}: {fixed_text(worst.value)}."
     if summary["reference"] == "clear":
         relative = "the detector's own error in clear air"
@@ -180,7 +179,7 @@ def _overview(result: RobustnessResult, found: Rates) -> parts.Table:
         cells = [
             parts.Cell(
                 fixed_text(each.value),
-                [interval_text(each.interval), f"{each.condition.value:g} {_level(each.condition).unit}"],
+                [interval_text(each.interval), f"{each.condition.value:g} {each.condition.unit}"],
                 shade=_shade(each.value, result.clear.value),
             )
             for each in group
@@ -194,11 +193,6 @@ def _overview(result: RobustnessResult, found: Rates) -> parts.Table:
     rows.append(["Mean", *[""] * (most + 1), *(parts.Cell(one, look="strong") for one in means)])
     severities = ["Severity 1", *(f"{number}" for number in range(2, most + 1))]
     return parts.Table([result.measure, "Clear", *severities, "Resilience", "Corruption error"], rows, look="half")
-
-
-def _level(condition: Any) -> Level:
-    """The condition in the words of a sweep."""
-    return Level(condition.name, condition.kind, condition.knob, condition.value, condition.severity, condition.weather)
 
 
 def _title(name: str) -> str:
@@ -242,7 +236,7 @@ def _weather(
     figures = []
     for look in looks:
         if look.condition is None or look.condition.name == name:
-            label = "Clear" if look.condition is None else _level(look.condition).text
+            label = "Clear" if look.condition is None else look.condition.text
             figures.append(parts.Figure(look_uri(look, threshold or 0.0), f"{first}, {label}", caption=label))
     shown: list[parts.Part] = [
         parts.Legend(keys),
@@ -251,7 +245,7 @@ def _weather(
     ]
     rows = list(_scores(summary, name))
     if rows:
-        levels = [f"{each.condition.value:g} {_level(each.condition).unit}" for each in group]
+        levels = [f"{each.condition.value:g} {each.condition.unit}" for each in group]
         heads = ["Score of the data, mean", *levels, f"rho to {result.measure}, all weathers"]
         shown.append(parts.Table(heads, rows, look="half"))
     return shown

@@ -161,8 +161,8 @@ MUTANTS = (
         "severities_may_get_lighter",
         "severities of a suite get heavier",
         "torchweather.recipes.suite",
-        "after.value > before.value if RISES",
-        "after.value < before.value if RISES",
+        "after.value < before.value if after.knob in FALLS",
+        "after.value > before.value if after.knob in FALLS",
         ("tests/recipes/test_recipes.py::test_a_severity_is_the_same_weather_for_all_sensors_and_gets_heavier",),
     ),
     Mutant(

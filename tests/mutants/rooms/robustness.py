@@ -9,6 +9,14 @@ BOX_FORMS = "torchweather.evaluation.robustness.box_forms"
 
 MUTANTS = (
     Mutant(
+        "effect_of_the_condition_left_out",
+        "a detector gets the data with the effects of the condition",
+        "torchweather.evaluation.robustness.frames",
+        "self.subject.run(condition.weather, seed, condition.effects)",
+        "self.subject.run(condition.weather, seed)",
+        ("tests/recipes/test_published_suites.py::test_a_detector_gets_a_cloud_with_the_effect_of_the_condition",),
+    ),
+    Mutant(
         "resilience_without_severities",
         "a resilience rate is over all severities",
         "torchweather.evaluation.robustness.rates",

@@ -126,7 +126,7 @@ class _PictureInWeather(FrameInWeather):
         self._find(self.subject.reference, None, self.look)
 
     def _detect(self, condition: Condition, seed: int, look: OnLook) -> Tensor:
-        data = self.subject.render(condition.weather, seed)
+        data = self.subject.render(condition.weather, seed, condition.effects)
         # A camera's fog draws nothing: every storm gives the same frame.
         if self.before is None or not torch.equal(self.before, data):
             self._find(data, condition, look)
@@ -155,7 +155,7 @@ class _CloudInWeather(FrameInWeather):
         self._find(points, torch.zeros(len(points), dtype=torch.bool), None, self.look)
 
     def _detect(self, condition: Condition, seed: int, look: OnLook) -> Tensor:
-        result = self.subject.run(condition.weather, seed)
+        result = self.subject.run(condition.weather, seed, condition.effects)
         points, kind = torch.as_tensor(result.points), torch.as_tensor(result.kind)
         self._find(points, kind == PointKind.PARTICLE, condition, look)
         return points

@@ -150,9 +150,9 @@ class CameraSubject:
         clear_air = BayerWeather(Fog(mor_m=math.inf), self.camera)
         return AsBayer(clear_air, through_mosaic=True).without_weather(self.data)
 
-    def render(self, weather: Weather, seed: int) -> Tensor:
-        """The frame in a weather, in its own format."""
-        transform = BayerWeather(weather, self.camera, **self.options)
+    def render(self, weather: Weather, seed: int, effects: Sequence[Mapping[str, Any]] = ()) -> Tensor:
+        """The frame in a weather, in its own format; ``effects`` come beside those of the options."""
+        transform = BayerWeather(weather, self.camera, **_with_effects(self.options, effects))
         taker = AsBayer(transform, through_mosaic=self.through_mosaic) if self.is_rgb else transform
         with torch.no_grad():
             depth = self.depth_m if self.scene_depth is None else self.scene_depth
@@ -261,9 +261,9 @@ class LidarSubject(_Points):
         """Of a class for each point."""
         return (len(self.points),)
 
-    def run(self, weather: Weather, seed: int) -> LidarResult:
-        """The cloud in a weather, with what each point is."""
-        transform = LidarWeather(weather, self.lidar, **self.options)
+    def run(self, weather: Weather, seed: int, effects: Sequence[Mapping[str, Any]] = ()) -> LidarResult:
+        """The cloud in a weather, with what each point is; ``effects`` come beside those of the options."""
+        transform = LidarWeather(weather, self.lidar, **_with_effects(self.options, effects))
         with torch.no_grad():
             return transform.run(self.points, transform.draw(self.points, seed=seed), directions=self.beams)
 
@@ -356,3 +356,8 @@ class RadarSceneSubject(_Points):
             found = FmcwRadar(self.radar, weather, **self.options)(self.scatterers, {**drawn, **receiver})
         assert isinstance(found, Tensor)  # one frame
         return found
+
+
+def _with_effects(options: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Options of a transform with effects beside its own."""
+    return {**options, "effects": [*options.get("effects", ()), *effects]} if effects else dict(options)
