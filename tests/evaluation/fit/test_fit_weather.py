@@ -100,7 +100,7 @@ def camera_study(
         frames[1]["bayer"][20:50, 20:60] = 0.02
     condition = {"id": "c0", "scene": "s0", "weather": "fog:mor=150", "frames": frames}
     if airlight:
-        condition["airlight"] = list(AIRLIGHT)
+        condition["airlight"] = [gain * level for level in AIRLIGHT]  # as these frames show it
     return Study.from_arrays(
         sensor=CAMERA,
         scenes=[{"id": "s0", "clear": [frame(1.0, 1.0) for _ in range(CLEAR)], "geometry": {"depth_m": depth_m}}],

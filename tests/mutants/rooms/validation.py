@@ -49,4 +49,12 @@ MUTANTS = (
         'if "mask" in geometry:',
         (f"{POWER_TESTS}::test_what_a_mask_leaves_out_does_not_count",),
     ),
+    Mutant(
+        "gain_on_measured_airlight",
+        "airlight measured in the weather has the exposure of its own frames",
+        "torchweather.evaluation.fit.camera_light",
+        "gain = parameters[1] if exposed else 1.0",
+        "gain = parameters[1]",
+        (f"{FIT_TESTS}::test_a_cameras_visibility_airlight_and_gain",),
+    ),
 )

@@ -110,25 +110,27 @@ def camera_models(study: Study, condition: Condition, left_out: Mask) -> tuple[M
     }
     why: dict[str, str] = {}
     sky = np.isinf(depth_m) if left_out is None else np.isinf(depth_m) & ~left_out
-    lights: dict[str, Array] = {}
+    lights: dict[str, tuple[Array, bool]] = {}
     if sky.mean() >= LEAST_SKY:
         middle = np.mean(clear, axis=0)
         # Light of the horizon: what the way to it gains is the airlight (Koschmieder).
         rows_down = np.broadcast_to(np.arange(len(sky))[:, None], sky.shape)
         sky &= rows_down >= np.quantile(rows_down[sky], 1 - HORIZON)
-        lights["sky_airlight"] = np.array([middle[sky & (colour == k)].mean() for k in range(3)])
+        lights["sky_airlight"] = np.array([middle[sky & (colour == k)].mean() for k in range(3)]), True
     else:
         why["sky_airlight"] = "no sky (depth inf) in these frames"
     if condition.airlight is not None:
-        lights["measured_airlight"] = np.array(condition.airlight)
+        lights["measured_airlight"] = np.array(condition.airlight), False
     else:
         why["measured_airlight"] = "the condition states no airlight"
-    for name, light in lights.items():
+    for name, (light, exposed) in lights.items():
         fixed = torch.from_numpy(light)[which]
 
-        def known(parameters: Tensor, own: Tensor, fixed: Tensor = fixed) -> Tensor:
+        def known(parameters: Tensor, own: Tensor, fixed: Tensor = fixed, exposed: bool = exposed) -> Tensor:
             passed = through(parameters[0])
-            return parameters[1] * (own * passed + fixed * (1 - passed))
+            # The sky of clear frames has their exposure. Airlight measured in the weather has that of its own frames.
+            gain = parameters[1] if exposed else 1.0
+            return parameters[1] * own * passed + gain * fixed * (1 - passed)
 
         found[name] = (rows, Model(known, start, names))
     return found, why
