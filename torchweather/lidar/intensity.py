@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 
 __all__ = [
+    "COUNTED",
+    "EIGHT_BITS",
     "FULL_SCALE",
     "LOG_STEP",
     "WHITE",

@@ -20,7 +20,7 @@ from torchweather.scenes.object_boxes import object_boxes
 from torchweather.scenes.pose import checked_pose
 from torchweather.scenes.scene import Part, Scene
 
-__all__ = ["ROOF_MOUNT_M", "LidarView", "lidar_view"]
+__all__ = ["ROOF_MOUNT_M", "LidarView", "lidar_view", "reported_intensity"]
 
 # On the roof, above the origin of the vehicle frame and its camera: the height over ground of KITTI's scanner
 # (Geiger et al. 2013, Vision meets robotics: the KITTI dataset, figure 3).
@@ -138,7 +138,7 @@ def lidar_view(
     hit = hit & (measured >= lidar.min_range_m) & (measured <= lidar.max_range_m)
     none = torch.zeros_like(range_m)
     xyz = torch.where(hit, measured, none)[:, None] * beams
-    intensity = torch.where(hit, _reported(reflectivity, torch.where(hit, range_m, none + 1), lidar), none)
+    intensity = torch.where(hit, reported_intensity(reflectivity, torch.where(hit, range_m, none + 1), lidar), none)
     boxes, box_object_id = object_boxes(scene, torch.linalg.inv(pose))
     return LidarView(
         points=torch.cat([xyz, intensity[:, None], _rings(len(beams), grid, beams)[:, None]], -1),
@@ -212,8 +212,8 @@ def _detected(range_m: Tensor, reflectivity: Tensor, lidar: Lidar) -> Tensor:
     return (signal >= lidar.threshold_per_m2_sr) | (range_m < lidar.near_start_m)
 
 
-def _reported(reflectivity: Tensor, range_m: Tensor, lidar: Lidar) -> Tensor:
-    """Apparent reflectivity (1 is Lambertian white) in the sensor's unit of intensity."""
+def reported_intensity(reflectivity: Tensor, range_m: Tensor, lidar: Lidar) -> Tensor:
+    """Apparent reflectivity (1 is Lambertian white) in the sensor's unit of intensity, rounded as the unit is."""
     unit = lidar.intensity_unit
     if unit == "none":
         return torch.ones_like(reflectivity)

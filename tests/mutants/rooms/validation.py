@@ -57,4 +57,20 @@ MUTANTS = (
         "gain = parameters[1]",
         (f"{FIT_TESTS}::test_a_cameras_visibility_airlight_and_gain",),
     ),
+    Mutant(
+        "whole_steps",
+        "an integer level stands for the middle of its step",
+        "torchweather.evaluation.fit.path_line",
+        "HALF_STEP = 0.5",
+        "HALF_STEP = 0.0",
+        (f"{FIT_TESTS}::test_integers_that_are_rounded_once_give_the_rate",),
+    ),
+    Mutant(
+        "embedded_rounded_twice",
+        "weather acts on levels before the sensor rounds them",
+        "torchweather.gap.study.embedded",
+        "if lidar.intensity_unit in EIGHT_BITS else lidar",
+        'if lidar.intensity_unit == "never" else lidar',
+        (f"{FIT_TESTS}::test_the_embedded_study_rounds_once",),
+    ),
 )

@@ -14,7 +14,7 @@ from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import InputValueError
 from torchweather.evaluation.fit.least_squares import Model, Statistics
 from torchweather.gap.study.study import Condition, Study
-from torchweather.lidar.intensity import FULL_SCALE
+from torchweather.lidar.intensity import COUNTED, FULL_SCALE
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarWeather
 from torchweather.radar.attenuation import weather_attenuation_db_per_km
@@ -27,6 +27,7 @@ RANGE_BINS = 16
 LEAST_BEAMS = 8  # of a bin in a frame
 LENGTHS = 16
 LEAST_STEPS = 10.0
+HALF_STEP = 0.5
 SAME_OBJECT_M = 0.3  # range noise of the presets is some centimetres
 # Beams and targets whose return is lost more often are at the threshold: what is left of them is too bright.
 SEEN_SHARE = 0.8
@@ -66,19 +67,22 @@ def lidar_models(study: Study, condition: Condition, left_out: Mask) -> tuple[Mo
         usable &= levels.max(0) < full_scale  # clipped: the true level is not known
     if left_out is not None:
         usable &= ~left_out
-    middle, mean = ranges.mean(0), levels.mean(0)
+    middle = ranges.mean(0)
     if full_scale is not None:
-        usable &= mean >= LEAST_STEPS  # in steps of 1: darker objects are mostly rounding
+        usable &= levels.mean(0) >= LEAST_STEPS  # in steps of 1: darker objects are mostly rounding
     returned = []
     for frame in condition.frames:
         range_m, level = (np.asarray(frame[name], dtype=np.float64) for name in _LIDAR)
         returned.append(np.where(usable & (np.abs(range_m - middle) < SAME_OBJECT_M), level, np.nan))
     measured = np.stack(returned)
+    if lidar.intensity_unit in COUNTED and (levels == np.floor(levels)).all():
+        levels, measured = levels + HALF_STEP, measured + HALF_STEP  # integers are rounded down
     usable &= np.isfinite(measured).mean(0) >= SEEN_SHARE
     if usable.sum() < 2 * LEAST_BEAMS:
         return {}, dict.fromkeys(ESTIMATORS, f"{int(usable.sum())} beams see the same object in clear air and weather")
     edges = np.quantile(middle[usable], np.linspace(0.0, 1.0, RANGE_BINS + 1))
     bins = np.clip(np.searchsorted(edges, middle[usable], side="right") - 1, 0, RANGE_BINS - 1)
+    mean = levels.mean(0)
     # All beams of a bin lose the same share: the ratio of their sums is not bent by rounding, as that of each is.
     in_weather, before = (_ratios(values[:, usable], mean[usable], bins) for values in (measured, levels))
     rounding = None if full_scale is None else _rounding(measured[:, usable], bins)

@@ -19,9 +19,11 @@ from torchweather.gap.sensors.camera.study_kind import simulated_camera
 from torchweather.gap.sensors.lidar.study_kind import simulated_lidar
 from torchweather.gap.sensors.radar.study_kind import simulated_radar
 from torchweather.gap.study.study import Frame, Study
+from torchweather.lidar.intensity import EIGHT_BITS
 from torchweather.lidar.sensor import Lidar
 from torchweather.radar.sensor import Radar
 from torchweather.scenes import SCENES, RadarView, Scene, lidar_view, radar_view
+from torchweather.scenes.lidar_view import reported_intensity
 from torchweather.scenes.raw_frame import DRY
 from torchweather.scenes.scene import SceneLabel
 from torchweather.sensors import DEFAULT_PRESETS
@@ -45,6 +47,9 @@ FLUTTERING = (SceneLabel.PEDESTRIAN, SceneLabel.CYCLIST, SceneLabel.TREE)
 Array = NDArray[Any]
 Clear = Callable[[int], dict[str, Array]]
 Weathered = Callable[[Frame, Weather, int], dict[str, Array]]
+Recorded = Callable[[dict[str, Array]], dict[str, Array]]  # a frame in the steps of the sensor
+# Beams, geometry, and how frames are made.
+Parts = tuple[dict[str, Array], dict[str, Array], Clear, Weathered, Recorded]
 
 
 @one_thread_an_operation()  # all arrays are small: torch's pool would wait longer than it works
@@ -82,7 +87,7 @@ def embedded_study(
     check_at_least("clear_frames", clear_frames, 2, owner="embedded_study")
     check_at_least("frames", frames, 1, owner="embedded_study")
     name = preset or DEFAULT_PRESETS[kind]
-    sensor, beams, geometry, clear, weathered = _BUILDERS[kind](SCENES[scene](), name)
+    sensor, beams, geometry, clear, weathered, recorded = _BUILDERS[kind](SCENES[scene](), name)
     noise = [_seed(seed, f"clear.{number}") for number in range(clear_frames + frames)]
     views = [clear(each) for each in noise]
     weathers = [weather for weather in WEATHERS if scene not in DRY or weather.kind == "fog"]
@@ -90,7 +95,7 @@ def embedded_study(
     for weather in weathers:
         label = f"{weather.kind}-{weather.intensity:g}"
         made = [
-            weathered(views[clear_frames + number], weather, _seed(seed, f"weather.{label}.{number}"))
+            recorded(weathered(views[clear_frames + number], weather, _seed(seed, f"weather.{label}.{number}")))
             for number in range(frames)
         ]
         conditions.append({"id": label, "scene": scene, "weather": weather, "frames": made})
@@ -98,7 +103,7 @@ def embedded_study(
         kind=kind,
         sensor=sensor,
         beams=beams or None,
-        scenes=[{"id": scene, "clear": views[:clear_frames], "geometry": geometry}],
+        scenes=[{"id": scene, "clear": [recorded(view) for view in views[:clear_frames]], "geometry": geometry}],
         conditions=conditions,
     )
 
@@ -107,7 +112,7 @@ def _seed(seed: int, stream: str) -> int:
     return int(keyed_stream(seed, f"gap.embedded_study.{stream}").integers(2**62))
 
 
-def _lidar(scene: Scene, preset: str) -> tuple[Lidar, dict[str, Array], dict[str, Array], Clear, Weathered]:
+def _lidar(scene: Scene, preset: str) -> tuple[Lidar, *Parts]:
     whole = Lidar.preset(preset)
     rings = whole.elevations_deg
     assert rings is not None  # every preset has its pattern
@@ -125,19 +130,28 @@ def _lidar(scene: Scene, preset: str) -> tuple[Lidar, dict[str, Array], dict[str
     grid = seen.grid
     direction = seen.directions.reshape(*grid, 3).numpy()
 
+    # A sensor rounds once: weather on a frame of integers would hide every loss of less than half a step.
+    fine = replace(lidar, intensity_unit="reflectivity") if lidar.intensity_unit in EIGHT_BITS else lidar
+
     def clear(noise: int) -> dict[str, Array]:
-        points = lidar_view(scene, lidar, range_noise_seed=noise).points
+        points = lidar_view(scene, fine, range_noise_seed=noise).points
         range_m = torch.linalg.vector_norm(points[:, :3], dim=-1)
         return {"range_m": range_m.reshape(grid).numpy(), "intensity": points[:, 3].reshape(grid).numpy()}
 
     def weathered(frame: Frame, weather: Weather, seed: int) -> dict[str, Array]:
-        return simulated_lidar(frame, direction, weather, lidar, seed)
+        return simulated_lidar(frame, direction, weather, fine, seed)
+
+    def recorded(frame: dict[str, Array]) -> dict[str, Array]:
+        if fine is lidar:
+            return frame
+        reflectivity, range_m = (torch.from_numpy(frame[name]) for name in ("intensity", "range_m"))
+        return {**frame, "intensity": reported_intensity(reflectivity, range_m, lidar).numpy()}
 
     geometry = {"cos_incidence": seen.cos_incidence.reshape(grid).numpy()}
-    return lidar, {"direction": direction}, geometry, clear, weathered
+    return lidar, {"direction": direction}, geometry, clear, weathered, recorded
 
 
-def _camera(scene: Scene, preset: str) -> tuple[Camera, dict[str, Array], dict[str, Array], Clear, Weathered]:
+def _camera(scene: Scene, preset: str) -> tuple[Camera, *Parts]:
     camera = replace(Camera.preset(preset).resized(*CAMERA_PX), response_knots=None)
     seen = scene.view(camera)
     depth_m = seen.depth_m[0].numpy()
@@ -149,10 +163,10 @@ def _camera(scene: Scene, preset: str) -> tuple[Camera, dict[str, Array], dict[s
         return simulated_camera(frame, depth_m, weather, camera, seed)
 
     geometry = {"depth_m": depth_m, "normal": seen.normal.movedim(0, -1).numpy(), "label": seen.label[0].numpy()}
-    return camera, {}, geometry, clear, weathered
+    return camera, {}, geometry, clear, weathered, dict
 
 
-def _radar(scene: Scene, preset: str) -> tuple[Radar, dict[str, Array], dict[str, Array], Clear, Weathered]:
+def _radar(scene: Scene, preset: str) -> tuple[Radar, *Parts]:
     radar = Radar.preset(preset)
     targets = _targets(radar_view(scene, radar))
     geometry = {name: values for name, values in targets.items() if name != "rcs_dbsm"}
@@ -189,7 +203,7 @@ def _radar(scene: Scene, preset: str) -> tuple[Radar, dict[str, Array], dict[str
     def weathered(frame: Frame, weather: Weather, seed: int) -> dict[str, Array]:
         return simulated_radar(frame, geometry, weather, radar, seed)
 
-    return radar, {}, geometry, clear, weathered
+    return radar, {}, geometry, clear, weathered, dict
 
 
 def _targets(view: RadarView) -> dict[str, Array]:
@@ -219,7 +233,7 @@ def _targets(view: RadarView) -> dict[str, Array]:
 
 
 _TARGET = ("range_m", "azimuth_rad", "elevation_rad", "speed_m_per_s", "target_class", "rcs_dbsm")
-_BUILDERS: Mapping[str, Callable[[Scene, str], tuple[Any, dict[str, Array], dict[str, Array], Clear, Weathered]]] = {
+_BUILDERS: Mapping[str, Callable[[Scene, str], tuple[Any, *Parts]]] = {
     "lidar": _lidar,
     "camera": _camera,
     "radar": _radar,
