@@ -41,6 +41,7 @@ CONFINED: dict[str, set[str]] = {
     "kornia": {"camera", "metrics"},
     "av": {"io"},
     "laspy": {"io"},
+    "rosbags": {"io"},
     "pyarrow": {"io"},
     "pycocotools": {"metrics"},
     "torchvision": set(),

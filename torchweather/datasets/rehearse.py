@@ -6,7 +6,7 @@ Layout as on the project's page (sporsho.github.io/REHEARSE3D, README; Raisuddin
 ``weather`` (.csv), ``lidar_radar_pcd`` (.bin) and ``lidar_radar_labels`` (.label), frames numbered with six digits, and
 a ``metadata.csv`` beside most of them. A .bin of a LiDAR holds float32 rows of x, y, z, intensity (a second public
 project that reads the data set tests this). Not published: the columns of ``radar_pcd``, the names of the columns in
-the .csv files, and the first REHEARSE's recordings as anything but ROS bags, which are not read here.
+the .csv files, and the first REHEARSE's recordings as anything but ROS bags, which `torchweather.io.RosBag` reads.
 """
 
 from __future__ import annotations

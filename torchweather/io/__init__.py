@@ -34,6 +34,7 @@ from torchweather.io.point_cloud import INTENSITY_NAMES, PointCloud
 from torchweather.io.points import POINT_FORMATS, POINT_SUFFIXES, read_points, write_points
 from torchweather.io.power_maps import MAP_SUFFIXES, MapRecord, read_power_map, write_power_map
 from torchweather.io.radar_points import RADAR_COLUMNS, RADAR_FORMATS, RadarPoints, read_radar, write_radar
+from torchweather.io.ros_bags import RosBag, RosFrame, RosTopic
 from torchweather.io.sensor_points import PointReading, read_sensor_points
 from torchweather.io.sensor_pose import read_sensor_pose
 from torchweather.io.tables import TABLE_SUFFIXES, read_table, write_table
@@ -72,6 +73,9 @@ __all__ = [
     "PointLabels",
     "PointReading",
     "RadarPoints",
+    "RosBag",
+    "RosFrame",
+    "RosTopic",
     "atomic_folder",
     "atomic_write",
     "label_columns",

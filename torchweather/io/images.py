@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -230,21 +230,33 @@ def _encode(target: Path, suffix: str, array: npt.NDArray[Any], unfinished: Path
 
 def _decoded(source: Path) -> tuple[npt.NDArray[Any], int]:
     """Pixels ``(H, W)`` or ``(H, W, 3)`` of a picture file, upright, in the stored dtype; the orientation undone."""
-    from PIL import Image, UnidentifiedImageError, features
-
     if not source.is_file():
         raise TorchweatherError(f"{source}: no such file.")
-    if _is_deep_colour_png(source):
+    with source.open("rb") as file:
+        return decoded_picture(file, source, source.stat().st_size)
+
+
+def decoded_picture(file: BinaryIO, source: Path, stored_bytes: int) -> tuple[npt.NDArray[Any], int]:
+    """Pixels of an encoded picture and the orientation undone, as `read_image` takes them from a file.
+
+    Args:
+        file: open at its start.
+        source: its name, for errors.
+        stored_bytes: its size, bytes.
+    """
+    from PIL import Image, UnidentifiedImageError, features
+
+    if _is_deep_colour_png(file):
         # Pillow would hand over the upper eight bits without a word.
         raise TorchweatherError(
             f"{source}: a colour PNG of 16 bits per channel is not read without loss here. Convert it to .npy."
         )
     try:
-        with _pillow_warnings(source), Image.open(source) as picture:
+        with _pillow_warnings(source), Image.open(file) as picture:
             _check_single(picture, source)
             _check_deep_tiff(picture, source)
             pixel_bytes = 2 if picture.mode.startswith("I;16") else _MODE_BYTES.get(picture.mode, 1)
-            check_inflated(source, picture.width * picture.height * pixel_bytes, source.stat().st_size)
+            check_inflated(source, picture.width * picture.height * pixel_bytes, stored_bytes)
             orientation = _orientation(picture)
             picture.load()  # this turns a TIFF and takes its tag away, in some versions of Pillow
             upright = _plain(_turned(picture, _orientation(picture)))
@@ -349,9 +361,9 @@ def _plain(picture: Image.Image) -> Image.Image:
     return picture
 
 
-def _is_deep_colour_png(source: Path) -> bool:
-    with source.open("rb") as file:
-        head = file.read(26)  # signature 8, chunk length and name 8, width 4, height 4, bit depth 1, colour type 1
+def _is_deep_colour_png(file: BinaryIO) -> bool:
+    head = file.read(26)  # signature 8, chunk length and name 8, width 4, height 4, bit depth 1, colour type 1
+    file.seek(0)
     return len(head) == 26 and head[:8] == b"\x89PNG\r\n\x1a\n" and head[24] == 16 and head[25] in (2, 4, 6)
 
 

@@ -175,7 +175,20 @@ def read_radar(
     source = Path(path)
     check_one_of("speed", speed, SPEEDS, owner="read_radar")
     check_one_of("gain", gain, GAINS, owner="read_radar")
-    stored = _READERS[_format(source, format, "read_radar")](source)
+    return detections_from_stored(
+        _READERS[_format(source, format, "read_radar")](source), source, radar, speed, gain, keep
+    )
+
+
+def detections_from_stored(
+    stored: StoredPoints,
+    source: Path,
+    radar: Radar | None = None,
+    speed: str = "relative",
+    gain: str = "boresight",
+    keep: Mapping[str, Collection[int]] | None = None,
+) -> RadarPoints:
+    """Detections from the content of a file; the arguments are those of `read_radar`."""
     if stored.grid is not None:
         raise TorchweatherError(f"{source}: wanted a list of detections (N,); got a grid {stored.grid}.")
     if stored.layout.viewpoint is not None:
@@ -184,7 +197,7 @@ def read_radar(
             f"{source}: its VIEWPOINT, {shown}, is not applied: positions and speeds are taken as seen from the "
             "origin. Where they are not, move them to the radar's frame and write VIEWPOINT 0 0 0 1 0 0 0.",
             TorchweatherWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
     found = flat_columns(stored, source)
     if stored.layout.format == "csv" and not stored.layout.header:

@@ -49,7 +49,7 @@ class PointLayout:
     """How a file held its points, kept so that it can be written back as it was.
 
     Args:
-        format: ``kitti``, ``nuscenes``, ``rows``, ``pcd``, ``ply``, ``npz``, ``csv`` or ``las``.
+        format: ``kitti``, ``nuscenes``, ``rows``, ``pcd``, ``ply``, ``npz``, ``csv``, ``las`` or ``ros``.
         fields: in the order of the file.
         encoding: variant within the format, such as ``ascii`` or ``binary_compressed``.
         header: the header's own bytes, used again where nothing in it changed.
