@@ -12,6 +12,14 @@ AIRLIGHT = "torchweather.camera.airlight"
 
 MUTANTS = (
     Mutant(
+        "water_mirrors_the_upper_edge_as_bands",
+        "above the picture a mirrored ray shows a mean over a part that widens, not the edge",
+        "torchweather.camera.effects.mirrored",
+        "level = torch.log2(1.0 + above.clamp_min(0.0))",
+        "level = torch.zeros_like(above)",
+        ("tests/camera/effects/test_mirrored.py::test_rays_above_the_picture_show_no_bands",),
+    ),
+    Mutant(
         "bank_shows_particles_behind_the_scene",
         "a pixel takes the layer of a bank in front of its depth",
         "torchweather.camera.particles.bank",

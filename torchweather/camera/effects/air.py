@@ -16,6 +16,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from torchweather.camera.effects.mirrored import seen_along
 from torchweather.camera.effects.particles import per_sample
 from torchweather.camera.fog import FADING_COLOUR, FARTHEST_M, OPAQUE, rays
 from torchweather.camera.mosaic_blur import gaussian_blur, phases, spacing_px, whole
@@ -308,7 +309,8 @@ class CameraWetSurface(Effect):
         mirror: share of the film that is smooth, 0 to 1.
 
     Note:
-        I' is that of things far away, seen in clear air; where the mirrored ray leaves the picture, its edge stands in.
+        I' is that of things far away, seen in clear air. Where the mirrored ray passes above the picture, a mean of the
+        picture's upper part stands in, over a wider part the farther above.
     """
 
     id: ClassVar[str] = "camera.wet_surface"
@@ -353,31 +355,4 @@ class CameraWetSurface(Effect):
         lit = state
         if state.air.lamp_excess is not None:  # a lamp's mirror image is as bright as the lamp
             lit = state.changed(signal=state.image.signal + state.air.lamp_excess)
-        return {"signal": torch.lerp(own, _seen_along(lit, direction + 2.0 * cosine * normal), share)}
-
-
-def _seen_along(state: CameraState, direction: Tensor) -> Tensor:
-    """The picture in other directions ``(B, 3, H, W)``; of a mosaic, each pixel from its own phase."""
-    assert state.receiver.camera is not None
-    height, width = state.image.signal.shape[-2:]
-    x, y, z = (direction[:, axis : axis + 1] for axis in range(3))
-    # Behind the camera nothing is known: such rays end far outside of the picture, on their side of it.
-    ahead = z.clamp_min(1e-2)
-    x, y = state.receiver.camera.distort(x / ahead, y / ahead)
-    fx, fy, cx, cy = (value.view(-1, 1, 1, 1) for value in state.scene.intrinsics.to(direction).unbind(-1))
-    column = (x * fx + cx).clamp(0.0, width - 1.0)
-    row = (y * fy + cy).clamp(0.0, height - 1.0).expand_as(state.one_plane)
-    column = column.expand_as(row)
-    if state.receiver.cfa_index is None:
-        grid = torch.stack([column[:, 0] / max(width - 1, 1), row[:, 0] / max(height - 1, 1)], -1) * 2.0 - 1.0
-        return torch.nn.functional.grid_sample(state.image.signal, grid, padding_mode="border", align_corners=True)
-    found, planes = [], phases(state.image.signal)
-    for phase in range(4):
-        down, aside = divmod(phase, 2)
-        own = (..., slice(down, None, 2), slice(aside, None, 2))
-        across = (column[own] - aside) / max(width - 2, 1) * 2.0 - 1.0
-        along = (row[own] - down) / max(height - 2, 1) * 2.0 - 1.0
-        grid = torch.stack([across[:, 0], along[:, 0]], -1)
-        plane = planes[:, phase : phase + 1]
-        found.append(torch.nn.functional.grid_sample(plane, grid, padding_mode="border", align_corners=True))
-    return whole(torch.cat(found, 1))
+        return {"signal": torch.lerp(own, seen_along(lit, direction + 2.0 * cosine * normal), share)}
