@@ -13,6 +13,7 @@ import pytest
 import torch
 
 import torchweather
+from torchweather.camera.night.lamps import Lamp
 from torchweather.core.errors import (
     InputTypeError,
     MissingExtraError,
@@ -58,6 +59,20 @@ def test_nan_and_what_is_no_number_never_pass(value: object) -> None:
         check_at_least("x", value, -math.inf, owner="gauge")
     with pytest.raises(ValueError, match="gauge: x"):
         check_between("x", value, -math.inf, math.inf, owner="gauge")
+
+
+@pytest.mark.parametrize("digits", [400, 6000])
+def test_a_whole_number_beyond_float64_is_out_of_every_range(digits: int) -> None:
+    """Float64 has 308 digits, and Python writes 4,300."""
+    for value in (10**digits, -(10**digits)):
+        with pytest.raises(
+            ValueError, match=r"gauge: x must be a finite number; got (-?1000|a whole number of too many)"
+        ):
+            check_finite("x", value, owner="gauge")
+        with pytest.raises(ValueError, match=r"gauge: x must lie in 0\.\.1"):
+            check_between("x", value, 0.0, 1.0, owner="gauge")
+        with pytest.raises(ValueError, match=r"Lamp: colour must lie in 0\.\.1000; got"):
+            Lamp((1.0, 0.0, 0.0), colour=(value, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("value", [1, 1.0, np.float32(1), np.int64(1), torch.tensor(1.0), torch.tensor([1, 2])])

@@ -226,6 +226,14 @@ def test_rows_are_raised_to_the_bits_of_torch(more: int, monkeypatch: pytest.Mon
     assert torch.equal(fast, slow)
 
 
+@pytest.mark.parametrize("shape", [(0, 4), (2, 0, 4)])
+@pytest.mark.parametrize("weather", [tw.Rain(5.0), tw.Mixture(tw.Fog(50.0), tw.WetWindow(rain_mm_per_h=5.0))])
+def test_a_cloud_without_points_stays_one(weather: Any, shape: tuple[int, ...]) -> None:
+    points = torch.zeros(shape)
+    lidar = tw.Lidar.preset("ouster-os1-128")  # whose beams start above the origin: rows are raised
+    assert tw.LidarWeather(weather, lidar)(points, seed=1).shape == shape
+
+
 RANGES = {
     "rain": (tw.Rain(tw.LogUniform(1.0, 50.0)), tw.Rain(7.0)),
     "snow": (tw.Snow(tw.LogUniform(0.2, 3.0), temperature_c=-5.0), tw.Snow(0.7, temperature_c=-5.0)),

@@ -54,7 +54,10 @@ def _shown(value: object) -> str:
         if value.numel() == 1:
             return f"{value.item():g}"
         return f"a tensor with values {value.min().item():g}..{value.max().item():g}"
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes whole numbers of a few thousand digits at most
+        return "a whole number of too many digits"
     return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
 
 
@@ -76,7 +79,7 @@ def _all(value: Any, holds: Any) -> bool:
     try:
         number = float(value)
     except OverflowError:  # a whole number of more digits than float64 has
-        number = math.copysign(math.inf, value)
+        number = math.inf if value > 0 else -math.inf
     return bool(holds(torch.tensor(number, dtype=torch.float64)))
 
 

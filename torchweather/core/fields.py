@@ -118,13 +118,20 @@ def _number(name: str, value: Any, kind: str, within: Range | None, owner: objec
         within.check(name, value, owner)
     if not real:
         raise InputValueError(f"{owner_name(owner)}: {name} must be {what}; got {value!r}.")
-    if not math.isfinite(value) and (within is None or math.isfinite(within.high)):
+    if not _is_finite(value) and (within is None or math.isfinite(within.high)):
         raise InputValueError(f"{owner_name(owner)}: {name} must be a finite number; got {value!r}.")
     if kind == "float":
         return float(value)
     if value != int(value):
         raise InputValueError(f"{owner_name(owner)}: {name} must be {what}; got {value!r}.")
     return int(value)
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number of more digits than float64 has
+        return False
 
 
 def _sequence(name: str, value: Any, kind: str, within: Range | None, owner: object) -> Sequence[Any]:

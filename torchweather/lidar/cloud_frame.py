@@ -117,12 +117,16 @@ def holds_return(points: Tensor) -> Tensor:
 
 
 def _are_plain(*values: Tensor) -> bool:
-    """True where compiled loops may work on all of them: single precision on the processor, without gradients."""
+    """True where compiled loops may work on all: some points, single precision on the processor, no gradients."""
     if _in_graph() or not uses_compiled():
         return False
     learns = torch.is_grad_enabled()
     return all(
-        one.device.type == "cpu" and one.dtype == torch.float32 and not (learns and one.requires_grad) for one in values
+        one.device.type == "cpu"
+        and one.dtype == torch.float32
+        and one.numel() > 0
+        and not (learns and one.requires_grad)
+        for one in values
     )
 
 

@@ -16,6 +16,14 @@ SENSOR_ORIGIN = "torchweather.lidar.sweep.sensor_origin"
 
 MUTANTS = (
     Mutant(
+        "compiled_rows_of_no_point",
+        "a cloud without points is not raised by compiled loops",
+        "torchweather.lidar.cloud_frame",
+        "and one.numel() > 0",
+        "and one.numel() >= 0",
+        ("tests/lidar/test_compiled_beams.py::test_a_cloud_without_points_stays_one",),
+    ),
+    Mutant(
         "compiled_echoes_of_one_arrival",
         "the next strongest particle arrives after the sum of two exponentials",
         "torchweather.lidar.compiled_beams",
