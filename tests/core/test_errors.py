@@ -69,6 +69,8 @@ def test_a_whole_number_beyond_float64_is_out_of_every_range(digits: int) -> Non
             ValueError, match=r"gauge: x must be a finite number; got (-?1000|a whole number of too many)"
         ):
             check_finite("x", value, owner="gauge")
+        with pytest.raises(ValueError, match="gauge: x must be 0 or more"):
+            check_at_least("x", value, 0.0, owner="gauge")
         with pytest.raises(ValueError, match=r"gauge: x must lie in 0\.\.1"):
             check_between("x", value, 0.0, 1.0, owner="gauge")
         with pytest.raises(ValueError, match=r"Lamp: colour must lie in 0\.\.1000; got"):

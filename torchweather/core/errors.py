@@ -78,8 +78,8 @@ def _all(value: Any, holds: Any) -> bool:
         return False
     try:
         number = float(value)
-    except OverflowError:  # a whole number of more digits than float64 has
-        number = math.inf if value > 0 else -math.inf
+    except OverflowError:  # a whole number of more digits than float64 has, which nothing can compute with
+        return False
     return bool(holds(torch.tensor(number, dtype=torch.float64)))
 
 
