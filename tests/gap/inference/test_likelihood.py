@@ -87,6 +87,18 @@ def test_same_seeds_give_the_same_search() -> None:
     assert not np.array_equal(first.residual(first.start), other.residual(other.start))
 
 
+def test_the_order_in_which_conditions_are_done_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = search_of(tiny_study(rows=8, columns=32, weathers=(Snow(2.0), Snow(1.0), Snow(1.2))))
+    point = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})
+    before = search.at(point)
+    module = "torchweather.gap.inference.likelihood.side_by_side"
+    monkeypatch.setattr(module, lambda tasks: [task() for task in reversed(tasks)])
+    after = search.at(point)
+    assert list(after.sd) == list(before.sd)
+    for name, sd in before.sd.items():
+        np.testing.assert_array_equal(after.sd[name], sd)
+
+
 def test_one_thread_and_two_agree() -> None:
     before, found = torch.get_num_threads(), []
     study = tiny_study(rows=8, columns=32, weathers=(Snow(2.0), Snow(1.0), Snow(1.2)))

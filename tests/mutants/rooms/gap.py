@@ -202,4 +202,12 @@ MUTANTS = (
         "if False:",
         ("tests/gap/inference/test_likelihood.py::test_no_fit_ends_worse_than_it_began",),
     ),
+    Mutant(
+        "draws_follow_the_thread_that_is_done_first",
+        "the same seed gives the same search however conditions are scheduled",
+        "torchweather.gap.inference.likelihood",
+        "return {name: found[name] for name in self._names}",
+        "return found",
+        ("tests/gap/inference/test_likelihood.py::test_the_order_in_which_conditions_are_done_changes_nothing",),
+    ),
 )

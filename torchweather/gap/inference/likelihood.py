@@ -163,7 +163,8 @@ class SimulatorLikelihood:
 
         side_by_side([partial(simulate, place, target) for place, target in enumerate(self.measured)])
         self.simulated_frames += number * len(self.measured)
-        return found
+        # In the order of the conditions, whichever thread was done first: random draws follow it.
+        return {name: found[name] for name in self._names}
 
     def at(self, point: ParameterPoint) -> SimulatedDistribution:
         """The distribution of the vectors at a point; whitened as the model without effects is."""
