@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import re
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 
 PAGE = Path(__file__).parents[1] / "docs" / "public-names.md"
@@ -62,6 +63,23 @@ module holds.
 def names_of(module: str) -> list[str]:
     """Public names of a module, sorted."""
     return sorted(importlib.import_module(module).__all__, key=lambda name: (name.lower(), name))
+
+
+def documented_members() -> Iterator[tuple[str, str]]:
+    """Docstrings of public functions and classes, and of the public members of these, each under its first name."""
+    seen = set()
+    for module in MODULES:
+        for name in names_of(module):
+            found = getattr(importlib.import_module(module), name)
+            if not callable(found) or id(found) in seen:
+                continue
+            seen.add(id(found))
+            members = vars(found).items() if isinstance(found, type) else []
+            for inside, each in [("", found), *((f".{one}", each) for one, each in members if not one.startswith("_"))]:
+                docstring = getattr(getattr(each, "__func__", each), "__doc__", None)
+                is_member = callable(each) or isinstance(each, (property, classmethod, staticmethod))
+                if docstring and is_member:
+                    yield f"{module}.{name}{inside}", docstring
 
 
 def written() -> dict[str, list[str]]:

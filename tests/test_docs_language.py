@@ -1,4 +1,4 @@
-"""The language of the pages, as far as it can be counted: length of sentences, and phrases that read as a translation.
+"""The language of pages, docstrings and help, as far as it can be counted: sentences, and phrases of a translation.
 
 A page that is still above a bar is listed with its figures. They may only fall. A page that meets the bars leaves
 the list.
@@ -6,11 +6,17 @@ the list.
 
 from __future__ import annotations
 
+import argparse
+import ast
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
+from tests.public_names import documented_members
+from torchweather.cli.program import build_parser
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
@@ -117,3 +123,74 @@ not = counted
 """
     assert [words(sentence) for sentence in sentences(text)] == [3, 5, 2]
     assert language_of("It is held against a rest.\n") == Language(6.0, 6, 2)
+
+
+FIRST_LINE_WORDS = 25  # of the first sentence of a docstring, and of each sentence of a help text
+QUESTION = re.compile(r"(?:What|Whether|By how|How|Why|Which)\b", re.IGNORECASE)
+SPEAKS = re.compile(r"\b(?:says?|knows?|tells?|wants?)\b")  # what software does not do
+
+
+def faults(sentence: str) -> list[str]:
+    """Rules of the house that a sentence breaks."""
+    found = [f"{words(sentence)} words"] if words(sentence) > FIRST_LINE_WORDS else []
+    found += ["opens as a question"] if QUESTION.match(sentence) else []
+    return found + [match[0] for match in (PHRASES.search(sentence), SPEAKS.search(sentence)) if match]
+
+
+def test_docstrings_begin_with_a_noun_phrase_or_an_imperative() -> None:
+    wrong = {}
+    listed = list(documented_members())
+    for name, docstring in listed:
+        first = END.split(" ".join(docstring.strip().split("\n\n")[0].split()))[0]
+        if faults(first):
+            wrong[name] = (faults(first), first)
+    assert not wrong
+    assert len(listed) > 1000
+
+
+def help_texts(parser: argparse.ArgumentParser, name: str) -> Iterator[tuple[str, str]]:
+    """Every text of a command line by its place."""
+    yield name, parser.description or ""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for choice in action._choices_actions:
+                yield f"{name} {choice.dest}, summary", choice.help or ""
+            for command, inner in action.choices.items():
+                yield from help_texts(inner, f"{name} {command}")
+        elif action.help and action.help is not argparse.SUPPRESS:
+            yield f"{name} {'/'.join(action.option_strings) or action.dest}", action.help
+
+
+def test_help_of_the_command_line_is_short_and_plain() -> None:
+    wrong = {}
+    for place, text in help_texts(build_parser(), "torchweather"):
+        for sentence in re.split(r"(?<=[.!?;])\s+", " ".join(text.split())):
+            if faults(sentence):
+                wrong[place] = (faults(sentence), sentence)
+    assert not wrong
+
+
+def test_errors_use_no_phrase_of_the_list() -> None:
+    wrong = []
+    for path in sorted((ROOT / "torchweather").rglob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        if not PHRASES.search(" ".join(re.sub(r'"\s+f?"', "", source).split())):
+            continue  # parsing all files takes seconds
+        for raised in (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Raise)):
+            texts = [n.value for n in ast.walk(raised) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+            wrong += [(path.name, raised.lineno, text) for text in texts if PHRASES.search(text)]
+    assert not wrong
+
+
+@pytest.mark.parametrize(
+    ("sentence", "fault"),
+    [
+        ("What the film costs.", "opens as a question"),
+        ("The preset says how it is read.", "says"),
+        ("Scores held against a floor.", "held against"),
+        (" ".join(["word"] * 26), "26 words"),
+    ],
+)
+def test_a_fault_is_seen(sentence: str, fault: str) -> None:
+    assert faults(sentence) == [fault]
+    assert not faults("Loss of the film, dB.")

@@ -98,7 +98,7 @@ RANGES = {
 
 
 class Weather:
-    """What every weather has: a kind, an intensity, a plain dictionary."""
+    """Base of every weather: a kind, an intensity, a plain dictionary."""
 
     kind: ClassVar[str] = ""
     intensity_name: ClassVar[str] = ""

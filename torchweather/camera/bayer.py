@@ -92,7 +92,7 @@ def cfa_index(height: int, width: int, pattern: str, device: torch.device | str 
 
 
 def mosaic(rgb: Tensor, pattern: str, *, matrix: Tensor | None = None) -> Tensor:
-    """What a sensor behind this colour filter array keeps of a colour image: one value per pixel.
+    """Mosaic of a colour image: the one value per pixel that a colour filter array keeps.
 
     Args:
         rgb: colour image, ``(..., 3, H, W)``, linear in light.

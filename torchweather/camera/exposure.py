@@ -63,7 +63,7 @@ class _Metering(Stage):
 
 @register
 class ExposureMeter(_Metering):
-    """What the control of a clear frame's exposure was aimed at: a statistic of the frame before the weather.
+    """Target of the exposure control: a statistic of the frame before the weather.
 
     Identity: it changes no pixel.
 

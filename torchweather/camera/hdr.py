@@ -22,7 +22,7 @@ __all__ = ["HdrResult", "HdrWeather"]
 
 @dataclass(frozen=True)
 class HdrResult:
-    """What the weather did to a merged frame.
+    """Effect of the weather on a merged frame.
 
     Args:
         bayer: ``(..., 1, H, W)`` the merged frame.

@@ -30,7 +30,7 @@ LENS_FACTOR = 0.65  # ISO 2720 and ISO 12232: pi/4 x transmission 0.90 x vignett
 
 @dataclass(frozen=True)
 class LuminanceExposure:
-    """How a camera exposed: what turns luminance into signal.
+    """Exposure of a camera: the factor from luminance to signal.
 
     Args:
         iso: saturation-based speed, 1 to 10,000,000.

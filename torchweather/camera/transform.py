@@ -53,7 +53,7 @@ SKIES = ("overcast",)
 
 @dataclass(frozen=True)
 class CameraResult:
-    """What the weather did to a frame.
+    """Effect of the weather on a frame.
 
     Args:
         bayer: ``(..., 1, H, W)`` the frame, in the dtype of the input.
@@ -532,7 +532,7 @@ class BayerWeather(WeatherTransform):
     def state_of(
         self, bayer: Tensor, depth: Tensor | SceneDepth | None = None, normal: Tensor | None = None
     ) -> CameraState:
-        """What the chain takes: the frame before any stage.
+        """State that the chain begins with: the frame before any stage.
 
         Args:
             bayer, depth, normal: as in ``forward``.
@@ -561,7 +561,7 @@ class BayerWeather(WeatherTransform):
     def planes_state(
         self, linear: Tensor, scene: SceneDepth, batch: Sequence[int], *, keep_truth: bool = False
     ) -> CameraState:
-        """What the chain takes of a picture of linear light ``(B, 3, H, W)`` in front of a scene.
+        """State of a picture of linear light ``(B, 3, H, W)`` in front of a scene, before any stage.
 
         Args:
             linear: red, green, blue, black 0 and saturation 1.

@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 
 NAME = "apply"
 SUMMARY = "weather on files of images, point clouds and radar detections"
-DESCRIPTION = """Puts a weather on the frames of a camera, a LiDAR or a radar. Of an image, a file with one value per
-pixel is a raw Bayer mosaic, a colour file is weathered in linear light. A point cloud is KITTI or WADS .bin, nuScenes
-.pcd.bin, .pcd, .ply, .npz, .csv, .las, .laz, or an Ouster .pcap with its .json beside it. Radar detections are .pcd
-(nuScenes' or one's own), .npz, .csv or View-of-Delft's .bin; power maps of a radar polar .png, .npy or .npz.
-In a video, and in a folder with --sequence, the particles move from frame to frame. Each output keeps the
-name and format of its input (of a .pcap each frame becomes a .pcd) and is written whole or not at all. The
-seed of a frame is hashed from --seed and the name of its file. A broken file is named and left out.
-torchweather-record.json says what was made how. Exit code 0: all is done; 1: done, but for broken files; 2: a
-mistake in what was asked, or no file could be done. With --sensor radar, scene:test-track, scene:fog-tunnel,
-scene:thi-hall and scene:cerema-tunnel simulate the radar's frame of an embedded scene: NAME.npz in the weather,
-NAME_clear.npz in clear air, and NAME.png with both."""
+DESCRIPTION = """Puts a weather on the frames of a camera, a LiDAR or a radar. Of an image, a file with one value
+per pixel is a raw Bayer mosaic, a colour file is weathered in linear light. A point cloud is KITTI or WADS .bin,
+nuScenes .pcd.bin, .pcd, .ply, .npz, .csv, .las, .laz, or an Ouster .pcap with its .json beside it. Radar detections
+are .pcd (nuScenes' or one's own), .npz, .csv or View-of-Delft's .bin; power maps of a radar polar .png, .npy or
+.npz. In a video, and in a folder with --sequence, the particles move from frame to frame. Each output keeps the name
+and format of its input; each frame of a .pcap becomes a .pcd. It is written whole or not at all. The seed of a frame
+is hashed from --seed and the name of its file. A broken file is named and left out. torchweather-record.json records
+how each output was made. Exit code 0: all is done; 1: done, but for broken files; 2: a mistake in what was asked, or
+no file could be done. With --sensor radar an embedded scene is simulated: scene:test-track, scene:fog-tunnel,
+scene:thi-hall or scene:cerema-tunnel. That writes NAME.npz in the weather, NAME_clear.npz in clear air, and NAME.png
+with both."""
 
 SCENE = "scene:"  # begins the name of an embedded scene
 # What no image is: without --sensor it asks for a LiDAR or a radar.

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 NAME = "augment"
 SUMMARY = "weather on a whole data set, with a manifest; goes on where it was stopped"
-DESCRIPTION = """Puts a weather on every image and cloud of SRC and writes them to DST, each under its own path; all
-other files are carried along. Layouts: a folder of any depth; KITTI's object, odometry (SemanticKITTI), tracking
+DESCRIPTION = """Puts a weather on every image and cloud of SRC and writes them to DST, each under its own path;
+all other files are carried along. Layouts: a folder of any depth; KITTI's object, odometry (SemanticKITTI), tracking
 and raw data, by their folders; nuScenes (samples, sweeps, v1.0-*). The seed of a frame follows from --seed and its
-name, so the result is the same for any number of workers. DST/torchweather-manifest.sqlite says what was made of
-what. Stopped or killed at any moment, the same command goes on: what stands there in its size and with its time of
-change is not done again. A broken file is reported and left out. Exit code 0: all is done; 1: done, but for broken
-files; 2: a mistake in what was asked, or a damaged manifest; 3: stopped, the disk is full; 130, 143, 129: ended by
-Ctrl-C, SIGTERM, SIGHUP, after the frames that were under way."""
+name, so the result is the same for any number of workers. DST/torchweather-manifest.sqlite records what each file
+was made of. After a crash the same command resumes: a file that has its recorded size and time of change is not done
+again. A broken file is reported and left out. Exit code 0: all is done; 1: done, but for broken files; 2: a mistake
+in what was asked, or a damaged manifest; 3: stopped, the disk is full; 130, 143, 129: ended by Ctrl-C, SIGTERM,
+SIGHUP, after the frames that were under way."""
 
 BROKEN, STOPPED = 1, 3
 EVERY_S = 30.0  # between lines of progress, where there is no terminal
@@ -40,11 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--recipe", required=True, help="a recipe (see torchweather list), or a file of one's own")
     parser.add_argument("--workers", type=int, default=1, help="processes; 0: none but this one; default 1")
     parser.add_argument("--seed", type=int, default=0, help="default 0")
-    parser.add_argument("--layout", choices=LAYOUTS, default="auto", help="of SRC; default: what its folders say")
+    parser.add_argument("--layout", choices=LAYOUTS, default="auto", help="of SRC; default: by its folders")
     parser.add_argument(
         "--depth",
         metavar="FILE|DIR|METRES|ground|lidar",
-        help="of images; default: the LiDAR's where the layout has one, else what the recipe says, else ground",
+        help="of images; default: the LiDAR's where the layout has one, else the recipe's, else ground",
     )
     parser.add_argument(
         "--depth-encoding",
@@ -67,8 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--own-vehicle",
         metavar="drive|FILE|none",
-        help="the car that carries the LiDAR: drive, from at most 50 sweeps of each folder or nuScenes log (default "
-        "where the recipe completes sweeps and 5 or more differ); FILE, a mask (.npz); none: in each sweep by itself",
+        help="mask of the car that carries the LiDAR. drive: from at most 50 sweeps of each folder or nuScenes log, "
+        "the default where the recipe completes sweeps and 5 or more differ. FILE: an .npz. none: in each sweep by "
+        "itself",
     )
     add_reading(parser)
     parser.add_argument("--engine", choices=ENGINES, default="local", help="ray: on a Ray cluster (extra scale)")
@@ -99,7 +100,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="compression of PNG: 0 is fastest, 9 smallest, default 6; the pixels are the same",
     )
     add_no_fsync(parser)
-    parser.add_argument("--dry-run", action="store_true", help="only say what would be done")
+    parser.add_argument("--dry-run", action="store_true", help="only print what would be done")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 

@@ -175,7 +175,7 @@ def add_lidar_fields(group: argparse._ArgumentGroup) -> None:
         nargs=3,
         type=float,
         metavar=("X", "Y", "Z"),
-        help="where the sensor stands in the cloud's frame, m; Waymo's clouds: 1.43 0 2.18. Default 0 0 0",
+        help="position of the sensor in the cloud's frame, m; Waymo's clouds: 1.43 0 2.18. Default 0 0 0",
     )
     group.add_argument(
         "--sensor-pose",
@@ -191,7 +191,9 @@ def lidar_fields(args: argparse.Namespace) -> dict[str, Any]:
     given = {name: getattr(args, name, None) for name in LIDAR_FIELDS}
     origin, pose = given.pop("sensor_origin"), given.pop("sensor_pose")
     if origin is not None and pose is not None:
-        raise InputValueError("--sensor-origin and --sensor-pose both say where the sensor stands; give one of them.")
+        raise InputValueError(
+            "--sensor-origin and --sensor-pose both give the position of the sensor; give one of them."
+        )
     if pose is not None:
         from torchweather.io import read_sensor_pose
         from torchweather.lidar.pose import split_pose

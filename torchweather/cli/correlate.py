@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 NAME = "correlate"
-SUMMARY = "which scores say what a detector makes of the weather: a page and its numbers"
+SUMMARY = "find the scores that follow a detector's performance in weather: a page and its numbers"
 DESCRIPTION = """Correlates the scores of a sweep with the performance of a detector. SCORES is the table that
-`torchweather sweep` writes. PERFORMANCE is a table with the same condition columns, as far as they apply (subject,
-sensor, weather, knob, value, severity, seed), and one of numbers, such as average precision. Rows are matched by the
-condition columns that both have; seeds are averaged. Both are .csv or .parquet. Writes index.html, correlation.json and
-conditions.csv."""
+`torchweather sweep` writes. PERFORMANCE is a table with a column of numbers, such as average precision, and the same
+condition columns, as far as they apply. These are subject, sensor, weather, knob, value, severity and seed. Rows are
+matched by the condition columns that both have; seeds are averaged. Both are .csv or .parquet. Writes index.html,
+correlation.json and conditions.csv."""
 
 TALLY = {"agrees": "agree", "contradicts": "contradict", "cannot_be_judged": "cannot be judged"}
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--performance-column", default="performance", metavar="NAME", help="its name, such as AP; default performance"
     )
     parser.add_argument(
-        "--by", metavar="A,B", help="columns that tell conditions apart; default all that both tables have, but seed"
+        "--by", metavar="A,B", help="columns that distinguish conditions; default all that both tables have, but seed"
     )
     parser.add_argument(
         "--highly", type=float, metavar="R", help="size of Spearman's rho that counts as high; default 0.7"

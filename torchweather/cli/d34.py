@@ -15,7 +15,7 @@ the appendix; and where those scores contradict each other."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("table", choices=["table13", "trends"], help="which table")
+    parser.add_argument("table", choices=["table13", "trends"], help="table to print")
 
 
 def run(args: argparse.Namespace) -> int:

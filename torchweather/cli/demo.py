@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 DEFAULT_CAMERA = "lucid-triton"
 NAME = "demo"
 SUMMARY = "a page of pictures and numbers"
-DESCRIPTION = """Writes a page with the raw frame of the embedded test track in clear weather and in rain, fog and snow,
-with the numbers that say why it looks so, and the same scene as a LiDAR and a radar see it. Given raw frames of a
-camera, it shows these instead. Given photographs, it writes a page with a slider between each photograph and the same
-in fog, rain and snow of several severities. Nothing opens without --open."""
+DESCRIPTION = """Writes a page with the raw frame of the embedded test track in clear weather and in rain, fog and
+snow. The page has the numbers behind each picture, and the same scene as a LiDAR and a radar see it. Given raw
+frames of a camera, it shows these instead. Given photographs, it writes a page with a slider between each photograph
+and the same in fog, rain and snow of several severities. Nothing opens without --open."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -51,8 +51,8 @@ def add_map_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--noise-law",
         choices=("measured", "scale"),
-        help="of bytes: read their lowest levels so that the recording's own noise has an exponential law (measured, "
-        "default of bytes), or as the scale says",
+        help="reading of the lowest levels of bytes. measured (default): so that the recording's own noise has an "
+        "exponential law. scale: as the scale has them",
     )
     group.add_argument("--map-clutter-share", type=float, help="factor on the echoes of rain and snow; default 1")
     group.add_argument("--looks", type=int, help="independent looks whose mean power a cell holds; default 1")

@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 NAME = "fit"
 SUMMARY = "rate or visibility of recorded frames, with intervals, by several estimators"
-DESCRIPTION = """Fits the rate or visibility of every condition of a study folder, or of a folder of frames beside clear
-frames of the same scene: of a camera in fog (with airlight and gain of the exposure), of a LiDAR by paired intensities,
-of a radar by targets such as corner reflectors. Estimators stand side by side, each by its name, with 90 % intervals
-by bootstrap over frames and the misfit of the residuals."""
+DESCRIPTION = """Fits the rate or visibility of every condition of a study folder, or of a folder of frames beside
+clear frames of the same scene. A camera is fitted in fog, with airlight and gain of the exposure. A LiDAR is fitted
+by paired intensities, a radar by targets such as corner reflectors. Each estimator is listed by name, with 90 %
+intervals by bootstrap over frames and the misfit of the residuals."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

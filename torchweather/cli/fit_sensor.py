@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 
 NAME = "fit-sensor"
 SUMMARY = "measure a LiDAR's rings, columns and near-range response in its recordings"
-DESCRIPTION = """Fits the elevation and height of each ring and the columns of a turn to sweeps of one LiDAR, and, where
-the files have a signal beside the reflectivity (an OS2's .pcap, or columns signal and reflectivity), its near-range
-response and photon constant. Writes a sensor file that --sensor lidar:my.yaml takes, with 95 percent intervals, and a
-figure of the same name (.png). What is not measured stays as the preset has it."""
+DESCRIPTION = """Fits the elevation and height of each ring and the columns of a turn to sweeps of one LiDAR. Where
+the files have a signal beside the reflectivity, its near-range response and photon constant are fitted, too. Such
+files are an OS2's .pcap, or have the columns signal and reflectivity. Writes a sensor file that --sensor
+lidar:my.yaml takes, with 95 percent intervals, and a figure of the same name (.png). Fields that are not measured
+stay as the preset has them."""
 
 YAML_SUFFIXES = (".yaml", ".yml")
 # Responses are fitted to diffuse targets; REFLECTIVITY counts percent up to 100.
@@ -48,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--intensity", metavar="COLUMN", help="see torchweather apply; not needed for the pattern")
     parser.add_argument("--meta", type=Path, metavar="JSON", help="of a .pcap; default the .json of its name")
     add_reading(parser)
-    parser.add_argument("--quiet", action="store_true", help="no notes about what the sweeps cannot tell")
+    parser.add_argument("--quiet", action="store_true", help="no notes about what the sweeps leave open")
 
 
 def run(args: argparse.Namespace) -> int:

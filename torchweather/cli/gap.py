@@ -13,15 +13,15 @@ from torchweather.core.exceptions import InputValueError
 
 NAME = "gap"
 SUMMARY = "where simulation and measurement of a study disagree, and which effect is missing"
-DESCRIPTION = """Compares every condition of a study folder (frames measured in weather, and clear frames of the same
-scene) with its simulation, looks for the effect of the catalogue that explains the difference, and tests it on
+DESCRIPTION = """Compares every condition of a study folder with its simulation: frames measured in weather, and
+clear frames of the same scene. Looks for the effect of the catalogue that explains the difference, and tests it on
 conditions held out. Writes gap.json (the answer), model.yaml (the effects to add) and report.html. That nothing is
 missing, and that something is missing which no effect explains, are answers too: the exit code is 0 whatever the
 verdict. Takes studies of LiDARs, cameras, radars and microwave links.
 
-torchweather gap demo --out DIR makes a small study of the embedded scene in which an effect drawn at random is hidden,
-searches it, and shows side by side what was hidden and what was found. With --allow-none there is at times nothing to
-find. A study folder of that name is ./demo."""
+torchweather gap demo --out DIR makes a small study of the embedded scene and hides an effect in it, drawn at random.
+It searches the study, and shows side by side what was hidden and what was found. With --allow-none there is at times
+nothing to find. A study folder of that name is ./demo."""
 
 DEMO = "demo"
 

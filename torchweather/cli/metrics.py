@@ -51,8 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
     parser.add_argument(
         "--sensor",
-        help="camera, lidar or radar, with :PRESET: what the files hold, where their endings do not say; the preset "
-        "says how a camera's mosaics are read (default lucid-triton) and a radar's detections",
+        help="camera, lidar or radar, with :PRESET: contents of the files, where their endings leave it open. By the "
+        "preset a camera's mosaics (default lucid-triton) and a radar's detections are read",
     )
     images = parser.add_argument_group("images")
     images.add_argument(

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 NAME = "robustness"
 SUMMARY = "an ONNX detector in weather of five severities: a page, mean corruption error, resilience rate"
-DESCRIPTION = """Puts the weathers of a recipe (torchweather list) on labelled frames or clouds, runs an ONNX detector
-on them with onnxruntime, and compares its answer with the ground truth. Writes robustness.csv, performance.csv,
-scores.csv, robustness.json, index.html and correlation/. The detector's inputs, outputs and decoder are declared in
-YAML; without a declaration one is written from the graph, to be filled in. DIR holds images/ (or clouds/; else the
-files lie in DIR), depth/ with a map for each image, and the truth: annotations.json (COCO) for boxes, labels/ for
-segmentation. A recipe of kind transform is one condition. Guessed depth, such as flat ground, is refused unless
---allow-guessed-depth is given."""
+DESCRIPTION = """Puts the weathers of a recipe (torchweather list) on labelled frames or clouds. Runs an ONNX
+detector on them with onnxruntime, and compares its answer with the ground truth. Writes robustness.csv,
+performance.csv, scores.csv, robustness.json, index.html and correlation/. The detector's inputs, outputs and decoder
+are declared in YAML; without a declaration one is written from the graph, to be filled in. DIR holds images/ (or
+clouds/; else the files lie in DIR), depth/ with a map for each image, and the truth: annotations.json (COCO) for
+boxes, labels/ for segmentation. A recipe of kind transform is one condition. Guessed depth, such as flat ground, is
+refused unless --allow-guessed-depth is given."""
 
 # By the sensor: arguments that belong to it.
 ARGUMENTS = {"camera": CAMERA_ARGUMENTS, "lidar": (*LIDAR_FIELDS, "intensity")}

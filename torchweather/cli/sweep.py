@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 
 NAME = "sweep"
 SUMMARY = "scores against weather of rising severity: a table and a page with the curves"
-DESCRIPTION = """Puts weather of rising severity on clear frames, point clouds or radar detections, scores each against
-the clear data, and writes a tidy table, summary.json and a page with the curves: which scores get worse at every step,
-and why the others do not. The data are an embedded scene, files, or folders whose files are judged together. Raw frames
-are scored as the colour image they give (demosaiced, sRGB)."""
+DESCRIPTION = """Puts weather of rising severity on clear frames, point clouds or radar detections, and scores each
+against the clear data. Writes a tidy table, summary.json and a page with the curves. The page lists which scores get
+worse at every step, and why the others do not. The data are an embedded scene, files, or folders whose files are
+judged together. Raw frames are scored as the colour image they give (demosaiced, sRGB)."""
 
 SCENE = "scene:"  # begins the name of an embedded scene
 DEFAULT_INPUT = "scene:test-track"

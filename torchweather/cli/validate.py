@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 NAME = "validate"
 SUMMARY = "simulation beside measurement: scores, trends and pictures of a study"
-DESCRIPTION = """Simulates every condition of a study folder (frames measured in weather, and clear frames of the same
-scene), scores measured and simulated frames against clear ones, and writes a page: pictures side by side, scores with
-the floor of clear against clear frames, trends over severity, run time, and what the study lacks. For each comparison
-it states the smallest change of rate or visibility that the same frames would have flagged with 80 % power; frames that
-could not show a factor of 2 decide nothing. The page shows what disagrees, not why. scene:test-track is a study that
-the library makes of an embedded scene, without any measurement."""
+DESCRIPTION = """Simulates every condition of a study folder: frames measured in weather, and clear frames of the
+same scene. Scores measured and simulated frames against clear ones, and writes a page. The page has pictures side by
+side, scores with the floor of clear against clear frames, trends, run time, and what the study lacks. For each
+comparison it states the smallest change of rate or visibility that the same frames would have flagged with 80 %
+power. Frames that could not show a factor of 2 decide nothing. The page shows what disagrees, not why.
+scene:test-track is a study that the library makes of an embedded scene, without any measurement."""
 
 SCENE = "scene:"  # begins the name of an embedded scene
 

@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
 NAME = "view"
 SUMMARY = "look at a point cloud in clear air and in a weather"
-DESCRIPTION = """Writes one HTML page that needs nothing else: the cloud in clear air and in the weather, to turn and
-zoom, coloured by kind, intensity or range, with counts by range. It reads what apply reads: KITTI or WADS .bin,
-nuScenes .pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Nothing opens without --open."""
+DESCRIPTION = """Writes one HTML page that needs nothing else: the cloud in clear air and in the weather, to turn
+and zoom. Points are coloured by kind, intensity or range, and counted by range. It reads what apply reads: KITTI or
+WADS .bin, nuScenes .pcd.bin, .pcd, .ply, .npz, .csv, or an Ouster .pcap with its .json beside it. Nothing opens
+without --open."""
 
 # Share of a cloud's points below the detection threshold from which on the page warns of a wrong unit.
 MANY_FLOORED = 0.5

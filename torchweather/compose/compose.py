@@ -33,7 +33,7 @@ Sample = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Draw:
-    """What was drawn for a sample: all that is needed to give it the same weather again.
+    """Draw of a sample: all that is needed to give it the same weather again.
 
     Args:
         seed: from which the particles of every sensor follow, 63 bits.
@@ -187,7 +187,7 @@ class Compose(nn.Module):
         return self.specs
 
     def extra_repr(self) -> str:
-        """What is done to which key."""
+        """Transforms by their keys."""
         inside = ", ".join(f"{key!r}: {spec.kind.__name__}" for key, spec in self.specs.items())
         training = "" if self.quality is None else f", quality={self.quality!r}"
         return f"{{{inside}}}, weather={list(self.weather.values)!r}, p={self.p:g}{training}"
@@ -203,7 +203,7 @@ class Compose(nn.Module):
 
     @property
     def epoch(self) -> int:
-        """How often the data were gone through before."""
+        """Number of passes over the data so far."""
         return int(self._epoch)
 
     def set_epoch(self, epoch: int) -> None:
@@ -213,7 +213,7 @@ class Compose(nn.Module):
     def draw(
         self, sample: Sample, *, seed: int | None = None, generator: torch.Generator | None = None
     ) -> Draw | list[Draw]:
-        """What ``forward`` does to a sample, without doing it; a list for a batch.
+        """Draw what ``forward`` will do to a sample; a list for a batch.
 
         Args:
             sample: only its sizes count, and its ``sample_key``.
@@ -338,7 +338,7 @@ class Compose(nn.Module):
         return out, results
 
     def clear_through_mosaic(self, key: str) -> bool:
-        """Whether clear images of a key go through the mosaic."""
+        """True where clear images of a key go through the mosaic."""
         return self._mosaics(self.specs[key])
 
     def _mosaics(self, spec: TransformSpec[Any]) -> bool:

@@ -35,7 +35,7 @@ def update_boxes(
     *,
     rectangles: Tensor | None = None,
 ) -> Boxes:
-    """The same boxes; each record says what the weather left of it.
+    """The same boxes, each record with its points, transmission and cover in the weather.
 
     Boxes do not move in weather and none is taken away: what is hidden decides the user, by these numbers.
 

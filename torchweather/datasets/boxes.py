@@ -90,7 +90,7 @@ class Boxes:
 
 
 def points_in_boxes(points: Tensor, boxes: Boxes) -> Tensor:
-    """Which point lies in which box, its faces included; a point of range 0 (no return) lies in none.
+    """Table of points in boxes, faces included; a point of range 0 (no return) lies in none.
 
     Args:
         points: ``(..., N, 3 or more)`` x, y, z in metres, in the frame of the boxes.

@@ -83,7 +83,7 @@ def read_camera(
 def read_camera_fields(
     path: str | os.PathLike[str], *, width: int | None = None, height: int | None = None, name: str | None = None
 ) -> dict[str, Any]:
-    """The fields of `Camera` that a calibration file tells, for frames of this size; arguments as `read_camera`."""
+    """Fields of `Camera` in a calibration file, for frames of this size; arguments as `read_camera`."""
     check_arguments(
         "read_camera_fields(path: path, width: int | None, height: int | None, name: str | None)",
         path,

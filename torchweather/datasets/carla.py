@@ -114,8 +114,9 @@ def depth_from_carla(image: CarlaImage) -> Tensor:
 
 
 def depth_to_carla(depth_m: Tensor) -> npt.NDArray[np.uint8]:
-    """Coded depth ``(H, W, 4)`` of a map ``(1, H, W)`` in metres, to the nearest 60 um; 1000 m and more is the far
-    plane.
+    """Coded depth ``(H, W, 4)`` of a map ``(1, H, W)`` in metres; 1000 m and more is the far plane.
+
+    The step of the code is 60 um.
     """
     check_arguments("depth_to_carla(depth_m: floating)", depth_m)
     if depth_m.ndim != 3 or depth_m.shape[0] != 1 or not bool((depth_m >= 0).all()):

@@ -23,7 +23,7 @@ SHOWN = 5
 
 
 def diagnose(study: Study) -> list[Finding]:
-    """What a study lacks, the worst first. Reads every frame once.
+    """List what a study lacks, the worst first. Reads every frame once.
 
     Args:
         study: to look at.

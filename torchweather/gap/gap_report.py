@@ -111,7 +111,7 @@ class ResidualMap:
 
 @dataclass(frozen=True)
 class GapReport:
-    """What was found.
+    """Result of the search.
 
     Args:
         answer: plain values in the format ``torchweather-gap/1``.

@@ -106,7 +106,7 @@ def focal_from_exif(tags: Mapping[int, Any], width: int, height: int) -> ExifFoc
 
 
 def read_exif_focal(path: str | os.PathLike[str], width: int, height: int) -> ExifFocal | None:
-    """The focal length that a photograph's file tells, for a frame of this size.
+    """Focal length in a photograph's file, for a frame of this size.
 
     Args:
         path: JPEG, PNG or TIFF; other files have no tags.

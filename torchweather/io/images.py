@@ -68,7 +68,7 @@ _MODE_BYTES = {"I": 4, "F": 4, "RGB": 4, "RGBA": 4, "RGBX": 4, "CMYK": 4, "YCbCr
 
 @dataclass(frozen=True)
 class ImageInfo:
-    """What a file held besides the pixel values.
+    """Contents of a file besides the pixel values.
 
     Args:
         path: the file.
@@ -89,7 +89,7 @@ class ImageInfo:
 
     @property
     def note(self) -> str:
-        """Sentence on what labels of the file must know, '' where there is nothing."""
+        """Note for labels of the file, '' where there is nothing."""
         if self.orientation == 1:
             return ""
         return (

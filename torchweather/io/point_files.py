@@ -101,8 +101,8 @@ def write_float32_file(path: str | os.PathLike[str], stored: StoredPoints) -> No
     table = np.stack([np.asarray(array) for array in stored.arrays], axis=1).astype("<f4", copy=False)
     if not table.size:
         raise TorchweatherError(
-            f"{path}: {stored.layout.format} has no header and cannot hold an empty cloud: the file could not be told "
-            "from a broken one. Write .pcd or .npz."
+            f"{path}: {stored.layout.format} has no header and cannot hold an empty cloud: it would look like a "
+            "broken file. Write .pcd or .npz."
         )
     finite = np.isfinite(table)
     if stored.layout.no_return:
@@ -120,7 +120,7 @@ def write_rows_file(path: str | os.PathLike[str], stored: StoredPoints) -> None:
     """Write rows in the fields that were stated when the file was read; one row at least."""
     if not stored.rows:
         raise TorchweatherError(
-            f"{path}: rows without a header cannot hold an empty cloud: the file could not be told from a broken one. "
+            f"{path}: rows without a header cannot hold an empty cloud: it would look like a broken file. "
             "Write .pcd or .npz."
         )
     with atomic_write(path) as unfinished:

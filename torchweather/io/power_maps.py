@@ -32,7 +32,7 @@ WANTED = "a radar power map: .png, .npy or .npz"
 
 @dataclass(frozen=True, eq=False)
 class MapRecord:
-    """What a file held, kept for the writer.
+    """Contents of a file, kept for the writer.
 
     Args:
         suffix: of the file.
@@ -100,8 +100,7 @@ def read_power_map(path: str | os.PathLike[str], layout: MapLayout | str | None 
 
 
 def write_power_map(path: str | os.PathLike[str], power_map: RadarPowerMap) -> None:
-    """Write a map, in the format and with all that its file held; a map that did not change is the same file, byte for
-    byte.
+    """Write a map in the format of its file; an unchanged map gives the same bytes.
 
     Args:
         path: ``.png`` (bytes over range and azimuth), ``.npy``, ``.npz``; the folder must exist.

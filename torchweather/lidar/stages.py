@@ -155,7 +155,7 @@ class ToEnergy(SensorStage):
         return reflectivity * self.beam.near_response(range_m) / (math.pi * range_m.square()).clamp_min(NO_RANGE_M2)
 
     def contradicts_threshold(self, intensity: Tensor, range_m: Tensor, zero_intensity: Tensor | None = None) -> Tensor:
-        """True where a return's intensity says less than the threshold, in full response of the receiver, ``(B, N)``.
+        """True where a return's intensity is below the threshold, in full response of the receiver, ``(B, N)``.
 
         Near the sensor, where the response rises, every return is faint by it: that says nothing of the calibration.
 
@@ -460,7 +460,7 @@ class ParticleReturns(Stage):
 
     @property
     def kinds(self) -> dict[str, BeamParticles | SoftReturn]:
-        """What returns, by the kind of weather."""
+        """Returning particles, by the kind of weather."""
         return dict(self.parts.items())  # type: ignore[arg-type]
 
     def config(self) -> dict[str, Any]:
@@ -473,7 +473,7 @@ class ParticleReturns(Stage):
         return tuple(variate for part in self.kinds.values() for variate in part.variates())
 
     def extra_repr(self) -> str:
-        """How many returns of each kind a beam has at most."""
+        """Largest number of returns of each kind in a beam."""
         return ", ".join(f"{kind}_echoes={part.echoes}" for kind, part in self.kinds.items())
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor], *, faintest: Tensor | None = None) -> LidarState:
@@ -818,7 +818,7 @@ def _joined(echoes: Sequence[Tensor]) -> Tensor:
 
 @register
 class Detection(SensorStage):
-    """What the receiver reports: echoes above threshold, merged where they are close, chosen by the return mode.
+    """Detection of the receiver: echoes above threshold, merged where they are close, chosen by the return mode.
 
     An echo within ``echo_separation_m`` of a stronger one is part of that one. An object nearer than ``near_start_m``
     has nothing in front of it and is always reported, as it was in the input.
@@ -842,7 +842,7 @@ class Detection(SensorStage):
 
     @property
     def return_mode(self) -> str:
-        """Which of its echoes the sensor reports."""
+        """Return mode: the echoes that the sensor reports."""
         return self.sensor.return_mode
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:

@@ -174,7 +174,7 @@ class LidarState(PartedState):
 
     @property
     def direction(self) -> Tensor:
-        """``(B, N, 3)`` unit vector of each beam; zero where the input does not tell it."""
+        """``(B, N, 3)`` unit vector of each beam; zero where the input lacks it."""
         range_m = self.scene.clear_range_m[..., None]
         seen = self.scene.points_in[..., :3] / torch.where(range_m > 0, range_m, torch.ones_like(range_m))
         if self.scene.empty_direction is None:

@@ -60,7 +60,7 @@ Cloud = Tensor | list[Tensor]
 
 @dataclass(frozen=True)
 class LidarResult:
-    """What the weather did to a cloud. With ``lost="drop"`` the clouds of a batch are lists, one entry a sample.
+    """Effect of the weather on a cloud. With ``lost="drop"`` the clouds of a batch are lists, one entry a sample.
 
     Args:
         points: ``(..., N, C)`` the cloud, in the columns and the dtype of the input.
@@ -567,7 +567,7 @@ class LidarWeather(WeatherTransform):
         return signal.reshape(*lead, signal.shape[-1]), reported.reshape(*lead, signal.shape[-1])
 
     def state_of(self, points: Tensor, directions: Tensor | None = None) -> LidarState:
-        """What the chain takes: the beams of a cloud before any stage.
+        """State that the chain begins with: the beams of a cloud before any stage.
 
         Args:
             points, directions: as in ``forward``.

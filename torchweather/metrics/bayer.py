@@ -125,7 +125,7 @@ class BayerScore(Collected):
 
     @property
     def facts(self) -> ScoreFacts:
-        """What the score is."""
+        """Facts of the score."""
         return IMAGE_SCORES[self.name]
 
     @property

@@ -20,7 +20,7 @@ __all__ = ["CloudScore", "Collected", "ImageScore", "ScoreFacts"]
 
 @dataclass(frozen=True)
 class ScoreFacts:
-    """What a score is.
+    """Facts of a score.
 
     Args:
         function: ``(distorted, reference, *, data_range)`` to one score per image.

@@ -99,7 +99,7 @@ def shape_signature_distance(
     region: Region | None = None,
     seed: int = 0,
 ) -> Tensor:
-    """How much the shapes of two clouds differ: ``2 W / (mu_P + mu_R + W)`` of their signatures (SDM).
+    """Shape distance of two clouds (SDM): ``2 W / (mu_P + mu_R + W)`` of their signatures.
 
     ``W`` is the mean of ``|Q_P - Q_R|`` and ``mu`` that of ``Q``, the quantile function of the distance between two
     points. Blind to rigid motion, to the order of the points and to a scale of both.

@@ -17,7 +17,7 @@ __all__ = ["SphereBudget", "axial_q_back", "normal_reflectance", "sphere_budget"
 
 
 class SphereBudget(NamedTuple):
-    """Where unpolarised light on a transparent sphere goes; shares of the light on its disk, summing to 1."""
+    """Budget of unpolarised light on a transparent sphere; shares of the light on its disk, summing to 1."""
 
     external_reflection: float
     """Reflected at the outside."""

@@ -35,7 +35,7 @@ def wet_cover_loss_db(
     film_exponent: Value,
     drying_min: Value,
 ) -> Tensor:
-    """What the cover costs now, from the rain of now and of before, dB.
+    """Present loss of the cover from the rain of now and of before, dB.
 
     Args:
         rain_mm_per_h: ``(..., T)`` rates, 0 or more.
@@ -80,7 +80,7 @@ def wet_cover_series_db(
     film_exponent: Value,
     drying_min: Value,
 ) -> Tensor:
-    """What the cover costs at each time of a series of rain, dB.
+    """Loss of the cover at each time of a series of rain, dB.
 
     Args:
         rain_mm_per_h: ``(..., T)`` rates, 0 or more.

@@ -56,7 +56,7 @@ class Parameter:
 
     @property
     def value(self) -> float:
-        """What the constructor takes where nothing is given."""
+        """Default of the constructor."""
         if self.default is not None:
             return self.default
         return self.low if self.identity is None else self.identity
@@ -177,8 +177,10 @@ class Effect(Stage):
         return type(self)(**{**{one.name: getattr(self, one.name) for one in self.arguments}, **self.random, **values})
 
     def config(self) -> dict[str, Any]:
-        """The parameters as numbers, lists where they differ between samples, or the plain values of a distribution; a
-        bound that float32 rounds outwards as the bound itself, so that they are taken again."""
+        """Parameters as numbers, as lists where samples differ, or as the plain values of a distribution.
+
+        A bound that float32 rounds outwards is given as the bound itself, so that the constructor takes it again.
+        """
         values = {one: getattr(self, one.name).detach().double() for one in self.arguments}
         numbers = {one.name: value.clamp(one.low, one.high).tolist() for one, value in values.items()}
         return numbers | {name: one.to_dict() for name, one in self.random.items()}
@@ -198,7 +200,7 @@ class Effect(Stage):
 
     @property
     def at_identity(self) -> Tensor:
-        """Whether the effect does nothing, ``()`` or ``(B,)`` bool."""
+        """True where the effect does nothing, ``()`` or ``(B,)`` bool."""
         checked: list[Tensor] = [getattr(self, p.name) == p.identity for p in self.arguments if p.identity is not None]
         found = checked[0]
         for one in checked[1:]:

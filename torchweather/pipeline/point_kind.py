@@ -8,7 +8,7 @@ __all__ = ["PointKind"]
 
 
 class PointKind(IntEnum):
-    """What a point of the output is.
+    """Label of a point of the output.
 
     Example:
         >>> PointKind(1).name

@@ -40,7 +40,7 @@ def _preset_names(kind: str) -> list[str]:
 
 
 class Sensor:
-    """What the three sensors share: presets, a plain dictionary and back."""
+    """Base of the three sensors: presets, a plain dictionary and back."""
 
     kind: ClassVar[str] = ""
     data_key: ClassVar[str] = "points"

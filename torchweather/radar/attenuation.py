@@ -139,7 +139,7 @@ class _PartAttenuation(nn.Module):
 
 @register
 class PathAttenuation(Stage):
-    """What the weather takes from the signal on the way to each target and back: ``2 gamma R``, all weather added.
+    """Loss on the way to each target and back: ``2 gamma R``, all weather added.
 
     Identity: rates 0, visibility infinite.
 
@@ -199,7 +199,7 @@ class PathAttenuation(Stage):
         return torch.stack([part().expand(batch) for part in self.parts.values()]).sum(0)
 
     def two_way_db(self, range_m: Tensor) -> Tensor:
-        """What a path ``(B, ...)`` to a target and back loses, dB."""
+        """Loss of a path ``(B, ...)`` to a target and back, dB."""
         per_km = self.attenuation_db_per_km(range_m.shape[0]).to(range_m.dtype)
         return 2e-3 * per_km.reshape(-1, *(1,) * (range_m.ndim - 1)) * range_m
 
@@ -287,7 +287,7 @@ class WetRadome(Stage):
         return {name: value.tolist() for name, value in self.named_buffers()}
 
     def two_way_db(self, batch: int) -> Tensor:
-        """What the film costs, ``(B,)``; 0 where it does not rain, but for ``loss_db``."""
+        """Loss of the film, ``(B,)``; 0 where it does not rain, but for ``loss_db``."""
         rate = self.rate_mm_per_h.reshape(-1).expand(batch)
         raining = rate > 0
         film = self.film_db * torch.where(raining, rate, torch.ones_like(rate)) ** self.film_exponent

@@ -43,7 +43,7 @@ MAP_EFFECTS = ("radar.wet_radome", "radar.path_loss_scale", "radar.noise_floor")
 
 @dataclass(frozen=True)
 class RadarMapResult:
-    """What the weather did to a power map.
+    """Effect of the weather on a power map.
 
     Args:
         values: ``(..., *S)`` the map, in the dtype of the input; S as the sizes of the axes.
@@ -59,8 +59,7 @@ class RadarMapResult:
 
 
 class RadarMapWeather(WeatherTransform):
-    """Weather on the power maps of a radar: echoes weaker by the way through it and back, over the same noise floor,
-    and the speckle of rain and snow themselves.
+    """Weather on the power maps of a radar: weaker echoes over the same noise floor, and the speckle of rain and snow.
 
     Args:
         weather: ``Rain``, ``Fog``, ``Snow`` (melting: ``melt_fraction``) or a ``Mixture`` of them.

@@ -47,7 +47,7 @@ List = Tensor | list[Tensor]
 
 @dataclass(frozen=True)
 class RadarResult:
-    """What the weather did to a list of detections. With ``lost="drop"`` a batch gives lists, one entry a sample.
+    """Effect of the weather on a list of detections. With ``lost="drop"`` a batch gives lists, one entry a sample.
 
     Args:
         points: ``(..., N, C)`` the detections, in the columns and the dtype of the input; K rows more with clutter.
@@ -359,7 +359,7 @@ class RadarAttenuation(WeatherTransform):
         return array
 
     def state_of(self, points: Tensor, **known: Tensor) -> RadarState:
-        """What the chain takes: the detections before any stage; arguments as ``forward``."""
+        """State that the chain begins with: the detections before any stage; arguments as ``forward``."""
         check_detections(points, self.sensor, self)
         self.refuse_undrawn(points.shape[:-2])
         flat = points.reshape(math.prod(points.shape[:-2]), *points.shape[-2:])

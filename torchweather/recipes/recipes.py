@@ -92,7 +92,7 @@ def read_recipe(name_or_path: str | os.PathLike[str], kind: Kinds = None) -> Rec
 
 
 def load_recipe(name_or_path: str | os.PathLike[str], *, kind: Kinds = None, **overrides: Any) -> Any:
-    """What a recipe describes, ready to use.
+    """Load what a recipe describes, ready to use.
 
     Args:
         name_or_path, kind: as in ``read_recipe``.

@@ -58,7 +58,7 @@ class LidarView:
 
     @property
     def hit(self) -> Tensor:
-        """Which beams have a return, ``(N,)`` bool."""
+        """Mask of the beams that have a return, ``(N,)`` bool."""
         found: Tensor = (self.points[:, :3] != 0).any(-1)
         return found
 
@@ -71,7 +71,7 @@ def lidar_view(
     T_vehicle_from_lidar: Tensor | Sequence[Sequence[float]] | None = None,
     range_noise_seed: int | None = None,
 ) -> LidarView:
-    r"""What a LiDAR measures of a scene in clear air.
+    r"""Measurement of a scene by a LiDAR in clear air.
 
     A surface of reflectivity rho at the laser's wavelength, seen at the incidence i, is reported as a Lambertian one of
     ``rho cos i``, a retroreflector as one of its own strength; it gives a return where

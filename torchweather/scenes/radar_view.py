@@ -96,7 +96,7 @@ class RadarView:
     T_vehicle_from_radar: Tensor
 
     def of(self, name: str) -> Tensor:
-        """Which scatterers belong to an object or reflector of that name, ``(M,)`` bool."""
+        """Mask of the scatterers of an object or reflector of that name, ``(M,)`` bool."""
         if name not in self.names:
             raise InputValueError(f"RadarView: name must be one of {', '.join(self.names)}; got {name!r}.")
         found: Tensor = self.object_id == self.names.index(name)

@@ -46,7 +46,7 @@ class RainField:
             )
 
     def crossing_m(self, origin_m: Tensor | Point, direction: Tensor) -> tuple[Tensor, Tensor]:
-        """Where rays enter and leave the field, metres along the ray; both 0 for a ray that never meets it.
+        """Entry and exit of rays in the field, metres along the ray; both 0 for a ray that never meets it.
 
         Slab method (Kay and Kajiya 1986, Ray tracing complex scenes).
 

@@ -89,7 +89,7 @@ class SceneObject:
 
 @dataclass(frozen=True)
 class Hit:
-    """What rays meet first; leading dimensions are those of the rays.
+    """First surface that rays meet; leading dimensions are those of the rays.
 
     Args:
         t: multiples of the ray's direction vector; the depth for camera rays scaled to z = 1. ``inf`` is sky.
@@ -176,7 +176,7 @@ class Scene:
         return names.index(name)
 
     def cast(self, origin_m: Tensor | Sequence[float], direction: Tensor, *, pixel_angle_rad: float = 0.0) -> Hit:
-        """What each ray hits first.
+        """First hit of each ray.
 
         Args:
             origin_m: start of all rays in the vehicle frame, metres, ``(3,)``.

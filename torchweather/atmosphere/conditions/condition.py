@@ -59,12 +59,12 @@ class Condition(Weather):
 
     @property
     def follows_rain(self) -> bool:
-        """Whether its values follow from the rain of the mixture."""
+        """True where its values follow from the rain of the mixture."""
         return bool(self.rain_field) and getattr(self, self.rain_field) is None
 
     @property
     def is_nothing(self) -> bool:
-        """Whether the amount is 0."""
+        """True where the amount is 0."""
         return bool(getattr(self, self.intensity_name) == 0.0)
 
 

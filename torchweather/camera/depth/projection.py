@@ -18,7 +18,7 @@ _NEAREST_POINT_M = 0.1
 def project_points(
     points_xyz: Tensor, T_camera_from_lidar: Tensor, camera: Camera, height: int | None = None, width: int | None = None
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Where the points of a cloud fall in an image.
+    """Pixels of an image that the points of a cloud fall on.
 
     Args:
         points_xyz: ``(N, 3 or more)``, metres in the LiDAR's frame.

@@ -23,7 +23,7 @@ _NEAREST_M = 100.0
 
 
 class DepthSource(ABC):
-    """Anything that knows the depth of a camera's image.
+    """Source of depth for a camera's images.
 
     Called as ``source(camera, height, width, device=..., dtype=..., image=...)``, it gives ``(..., 1, H, W)``, metres
     along the optical axis, ``inf`` for sky. ``image`` is the frame as the caller has it: sRGB ``(..., 3, H, W)`` or a
@@ -59,7 +59,7 @@ class DepthSource(ABC):
         dtype: torch.dtype = torch.float32,
         image: Tensor | None = None,
     ) -> SceneDepth:
-        """Depth with what else the source knows: sky, own vehicle, confidence."""
+        """Depth with sky, own vehicle and confidence, as far as the source has them."""
         depth_m = self(camera, height, width, device=device, dtype=dtype, image=image)
         return SceneDepth(depth_m, self.confidence)
 

@@ -96,8 +96,7 @@ class CameraAdherentDrops(Effect):
         return {"signal": torch.lerp(state.image.signal, mean_colours(state), mask)}
 
     def mask(self, state: CameraState, drops: Tensor) -> Tensor:
-        """Share of each pixel's light that comes through drops, from uniforms ``(B, drops, 3)``; ``(B, 1, H, W)``, or
-        one for all frames that have the same drops."""
+        """Share of each pixel's light that comes through drops, ``(B, 1, H, W)``, from uniforms ``(B, drops, 3)``."""
         height, width = state.image.signal.shape[-2:]
         if not is_exporting() and bool((drops == drops[:1]).all()):
             drops = drops[:1]  # frames of one drive have the same drops

@@ -86,7 +86,7 @@ class CameraStreakContrast(Effect):
     writes: ClassVar[tuple[str, ...]] = ("air.particle_contrast",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """What particles change over the modelled."""
+        """Change by particles over the modelled."""
         factor = per_sample(self, "factor", state)
         return {
             "particle_contrast": factor if state.air.particle_contrast is None else factor * state.air.particle_contrast
@@ -94,7 +94,7 @@ class CameraStreakContrast(Effect):
 
 
 class CameraParticleCount(Effect):
-    """There are more or fewer particles than the rate says, of the same sizes, and they may end at a depth.
+    """There are more or fewer particles than the rate gives, of the same sizes, and they may end at a depth.
 
     ``N(D)`` becomes ``f N(D)``; the optical depth of the veil grows by f.
 

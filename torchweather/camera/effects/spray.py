@@ -61,7 +61,7 @@ class CameraRoadSpray(Effect):
     writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def variates(self) -> tuple[Variate, ...]:
-        """Where the spray is denser."""
+        """Variates of the spray's density."""
         return (BILLOWS,)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -74,7 +74,7 @@ class CameraSnowCover(Effect):
     writes: ClassVar[tuple[str, ...]] = ("image.signal",)
 
     def variates(self) -> tuple[Variate, ...]:
-        """Where the snow lies deeper."""
+        """Variates of the snow's depth."""
         return (GROUND_VARIATE,)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -338,7 +338,7 @@ class DrawBank:
     # ---- samples -----------------------------------------------------------------------------------------------
 
     def variate(self) -> Variate:
-        """What a sample draws: displacement down and across, and mirroring, of each storm, in 0..1."""
+        """Variates of a sample: displacement down and across, and mirroring, of each storm, in 0..1."""
         return Variate(f"{self.weather.kind}_place", "uniform", (STORMS, 3))
 
     def at_rate(self, rate_mm_per_h: float) -> BankTables:

@@ -130,7 +130,7 @@ class Manifest:
         self.close()
 
     def settings(self) -> dict[str, str]:
-        """What the run was asked for, by name; empty in a new manifest."""
+        """Settings of the run, by name; empty in a new manifest."""
         with self._in_words():
             found = self._open().execute("select key, value from run").fetchall()
         if not all(isinstance(key, str) and isinstance(value, str) for key, value in found):

@@ -52,7 +52,7 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run has come.
+    """Progress of a run.
 
     Args:
         finished: frames and copies of this run, also broken ones.
@@ -67,7 +67,7 @@ class Progress:
 
 @dataclass
 class Summary:
-    """What a run did.
+    """Summary of a run.
 
     Args:
         layout: of the data set.

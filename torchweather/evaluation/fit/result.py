@@ -82,7 +82,7 @@ class ConditionFit:
 
 @dataclass(frozen=True)
 class WeatherFit:
-    """What ``fit_weather`` found.
+    """Result of ``fit_weather``.
 
     Args:
         kind: of the study.

@@ -42,7 +42,7 @@ class LabelledFrame:
 
     @property
     def depth(self) -> str:
-        """How sure the depth is: ``exact``, ``measured``, ``completed`` or ``guessed``; empty of a LiDAR."""
+        """Confidence of the depth: ``exact``, ``measured``, ``completed`` or ``guessed``; empty of a LiDAR."""
         return self.subject.depth_confidence
 
 

@@ -16,7 +16,7 @@ __all__ = ["Rates", "rates"]
 
 @dataclass(frozen=True)
 class Rates:
-    """What is left of a performance in the weather; NaN where a divisor is 0.
+    """Resilience and corruption error of a performance; NaN where a divisor is 0.
 
     Args:
         resilience: by weather, ``RR_c = sum_s P_{s,c} / (S P_clear)``.

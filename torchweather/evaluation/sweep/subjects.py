@@ -129,7 +129,7 @@ class CameraSubject:
 
     @property
     def depth_confidence(self) -> str:
-        """How sure the depth is: ``exact``, ``measured``, ``completed`` or ``guessed``."""
+        """Confidence of the depth: ``exact``, ``measured``, ``completed`` or ``guessed``."""
         return EXACT if self.scene_depth is None else self.scene_depth.confidence
 
     @property

@@ -23,7 +23,7 @@ SIGNIFICANT = 0.05
 
 @dataclass(frozen=True)
 class Judgement:
-    """How one metric goes."""
+    """Trend of one metric."""
 
     metric: str
     follows: bool

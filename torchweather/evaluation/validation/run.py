@@ -106,7 +106,7 @@ class ConditionResult:
 
 @dataclass(frozen=True)
 class Validation:
-    """What ``validate`` found.
+    """Result of ``validate``.
 
     Args:
         kind: of the study.

@@ -102,7 +102,7 @@ def study_from_kitti(
     depth_encoding: str | None = None,
     directions: NDArray[Any] | Tensor | None = None,
 ) -> Study:
-    """A study from folders as KITTI has them, and a table that says which frame was taken in which weather.
+    """A study from folders as KITTI has them, and a table of the weather of each frame.
 
     Args:
         folder: with ``velodyne`` (a LiDAR) or ``image_2`` (a camera).

@@ -201,7 +201,7 @@ class Empirical(Stage):
         return found
 
     def extra_repr(self) -> str:
-        """What over what, and where it was measured."""
+        """Quantity, axis and measured range."""
         return f"{self.kind} of {self.of} over {self.axis}, {self.measured_from:g} to {self.measured_to:g}"
 
     def variates(self) -> tuple[Variate, ...]:

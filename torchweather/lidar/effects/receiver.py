@@ -448,7 +448,7 @@ class LidarCrosstalk(Effect):
     writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
 
     def variates(self) -> tuple[Variate, ...]:
-        """Whether, where and how strong."""
+        """Variates of spurious points: presence, place and strength."""
         return tuple(Variate(name, "uniform", ("N",)) for name in ("hit", "place", "margin"))
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -71,11 +71,11 @@ class LidarRoadSpray(Effect):
     writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
 
     def variates(self) -> tuple[Variate, ...]:
-        """Where the spray is denser; strongest gate of each part of each beam, and place in it."""
+        """Variates of the spray's density; strongest gate of each part of each beam, and place in it."""
         return BILLOWS, Variate("arrival", "uniform", (PARTS, "N")), Variate("place", "uniform", ("N",))
 
     def air_variates(self) -> tuple[Variate, ...]:
-        """Where the spray is denser."""
+        """Variates of the spray's density."""
         return (BILLOWS,)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -66,7 +66,7 @@ class LidarSnowCover(Effect):
     writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
     def variates(self) -> tuple[Variate, ...]:
-        """Where the snow lies deeper."""
+        """Variates of the snow's depth."""
         return (GROUND_VARIATE,)
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:

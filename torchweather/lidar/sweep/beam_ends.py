@@ -42,7 +42,7 @@ _GROUND_RATIO = 1.1
 
 
 class BeamEnd(IntEnum):
-    """What a beam meets.
+    """End of a beam: what it meets.
 
     RETURN: it has a return. SKY: nothing. GROUND: the ground, too dark or too slant to return. OWN_VEHICLE: the car
     that carries the sensor. OBSTACLE: something between its neighbours' returns, such as a pane or a gap behind an

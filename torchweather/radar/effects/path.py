@@ -79,7 +79,7 @@ class RadarWetRadome(Effect):
     writes: ClassVar[tuple[str, ...]] = ("receiver.cover_loss_db", "returns.gain_db")
 
     def two_way_db(self, state: RadarState) -> Tensor:
-        """What the cover costs now, ``(B,)``."""
+        """Present loss of the cover, ``(B,)``."""
         assert state.air.rates_mm_per_h is not None
         like = state.receiver.cover_loss_db
         rain = state.air.rates_mm_per_h.get("rain", torch.zeros_like(like)).to(like)[:, None]
@@ -225,7 +225,7 @@ class RadarWetRcs(Effect):
 
     @property
     def at_identity(self) -> Tensor:
-        """Whether no class changes, ``()`` or ``(B,)`` bool."""
+        """True where no class changes, ``()`` or ``(B,)`` bool."""
         none = torch.eq(self.gain_db, 0.0)
         return none.all(-1) if none.ndim else none
 

@@ -62,7 +62,7 @@ class RadarNoiseFloor(Effect):
     writes: ClassVar[tuple[str, ...]] = ("receiver.noise_shift_db",)
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """By how much the floor is higher."""
+        """Rise of the floor."""
         return {"noise_shift_db": plus(state.receiver.noise_shift_db, of_state(self, "shift_db", state))}
 
 
@@ -111,16 +111,16 @@ class RadarCfarShift(Appending):
     shift_db: Tensor
 
     def lists(self) -> bool:
-        """Whether the threshold is lower: a higher one lists no noise."""
+        """True where the threshold is lower: a higher one lists no noise."""
         return bool((self.shift_db < 0).any())
 
     def own_variates(self) -> tuple[Variate, ...]:
-        """Whether each row is there, and where."""
+        """Variates of each row: presence and place."""
         names = ("arrival", "power", "range", "azimuth", "elevation", "speed")
         return tuple(Variate(name, "uniform", (NOISE_ROWS,)) for name in names)
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """By how much the threshold is higher."""
+        """Rise of the threshold."""
         return {"threshold_shift_db": plus(state.receiver.threshold_shift_db, of_state(self, "shift_db", state))}
 
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:
@@ -193,7 +193,7 @@ class RadarInterference(Effect):
         return (Variate("hit", "uniform", (1,)),)
 
     def changes(self, state: RadarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """By how much the floor is higher."""
+        """Rise of the floor."""
         tossed = noise["hit"][:, 0].to(state.receiver.cover_loss_db)
         level = torch.where(tossed < of_state(self, "probability", state), of_state(self, "level_db", state), 0.0)
         return {"noise_shift_db": plus(state.receiver.noise_shift_db, level)}

@@ -34,7 +34,7 @@ SMALLEST_MW = 1e-30  # keeps logarithms finite
 
 @dataclass(frozen=True)
 class FmcwResult:
-    """What a radar makes of a frame; lists, one entry a sample, for a batch.
+    """Output of a simulated radar for a frame; lists, one entry a sample, for a batch.
 
     Args:
         points: ``(N, 6)``: x, y, z (m), radial speed (m/s), power (dBm), radar cross section (dBsm).

@@ -131,9 +131,7 @@ class PowerScale:
         return 20.0 * number.abs().log10()
 
     def bounds_db(self, values: Tensor) -> tuple[Tensor, Tensor]:
-        """Edges of the level of each byte, dB; the lower one of byte 0 is minus infinity, the upper one of 255 is one
-        step above its lower one.
-        """
+        """Edges of the level of each byte, dB, from minus infinity to one step above the last level."""
         self.check(values)
         edges = torch.tensor(self.edges_db, device=values.device)
         top = 2.0 * edges[-1] - edges[-2]

@@ -29,7 +29,7 @@ class ParticleContrast(Effect):
     axes: ClassVar[tuple[str, ...]] = ("streak_contrast",)
 
     def changes(self, state: CameraState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """What particles change over the modelled."""
+        """Change by particles over the modelled."""
         share: Tensor = self.get_buffer("share")
         factor = (1.0 + share.to(state.image.signal)).expand(state.batch)
         return {
