@@ -63,6 +63,17 @@ def scans(sensor: str, name: str) -> bool:
     return sensor == "camera" or tw.Radar.preset(name).chirps > 1
 
 
+def test_the_page_of_every_effect_and_weather_has_its_picture() -> None:
+    pictures = module_of(ROOT / "docs" / "_site" / "pictures.py")
+    for name, effect in EFFECTS.items():
+        if name.partition(".")[0] in SENSORS:
+            assert pictures.picture_of_class(effect.__name__, TABLE)["name"] == name
+    for name, wanted in pictures.OF_CLASS.items():
+        assert pictures.picture_of_class(name, TABLE)["name"] == wanted
+        assert hasattr(tw, name)
+    assert pictures.picture_of_class("Compose", TABLE) is None
+
+
 @pytest.mark.parametrize("name", ["camera-fog-3", "lidar-snow-1", "radar-rain-5"])
 def test_lines_of_an_entry_run_and_change_the_data(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import html
-import json
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from pictures import read_table, slider
 
 TITLES = {"camera": "Camera", "lidar": "LiDAR", "radar": "Radar"}
 ABOUT = {
@@ -27,12 +26,11 @@ MORE = {
     "lidar": "[What each effect does to statistics](../effects-lidar.md).",
     "radar": "[What each effect does to statistics](../effects-radar.md).",
 }
-PICTURES = "images/gallery"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add a page for each sensor."""
-    table = json.loads((Path(config.docs_dir) / PICTURES / "gallery.json").read_text(encoding="utf-8"))
+    table = read_table(Path(config.docs_dir))
     for sensor in TITLES:
         files.append(File.generated(config, f"gallery/{sensor}.md", content=page(sensor, table)))
     return files
@@ -54,7 +52,7 @@ def page(sensor: str, table: dict[str, Any]) -> str:
     for group, entries in groupby(shown, key=lambda entry: entry["group"]):
         lines += ["", f"## {group}", "", '<div class="gallery" markdown>']
         for entry in entries:
-            lines += ["", '<div class="gallery-entry" markdown>', "", slider(entry), ""]
+            lines += ["", '<div class="gallery-entry" markdown>', "", slider(entry, "../../"), ""]
             lines += ['??? example "' + entry["title"].replace('"', "'") + '"', ""]
             lines += [f"    {line}".rstrip() for line in code(entry["code"])]
             lines += ["", "</div>"]
@@ -65,18 +63,3 @@ def page(sensor: str, table: dict[str, Any]) -> str:
 def code(text: str) -> list[str]:
     """Block of Python."""
     return ["```python", *text.rstrip().splitlines(), "```"]
-
-
-def slider(entry: dict[str, Any]) -> str:
-    """The picture over the one that it is compared with, and a slider between both."""
-    width, height = entry["size"]
-    title = html.escape(entry["title"])
-    size = f'width="{width}" height="{height}" loading="lazy"'
-    after, before = (f"../../{PICTURES}/{entry[key]}.webp" for key in ("name", "before"))
-    return (
-        f'<div class="before-after" style="aspect-ratio: {width} / {height}">'
-        f'<img src="{after}" alt="{title}" {size}>'
-        f'<img class="before" src="{before}" alt="the same without" {size}>'
-        f'<input type="range" min="0" max="100" value="50" aria-label="{title}: share of the picture without it">'
-        "</div>"
-    )

@@ -9,11 +9,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import griffe
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
+from pictures import picture_of_class, read_table, slider
 
 PACKAGE = "torchweather"
 SECTION = re.compile(r"^## `(torchweather[\w.]*)`: (.*)$", re.MULTILINE)
@@ -61,6 +63,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages."""
     docs = Path(config.docs_dir)
     modules = public_names(docs / "public-names.md", docs.parent)
+    table = read_table(docs)
     home: dict[str, Name] = {}
     for names in modules.values():
         for name in names:
@@ -70,7 +73,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         pages[f"reference/{module}.md"] = module_page(module, names, home)
     for name in home.values():
         if name.kind == "class":
-            pages[page_of(name)] = class_page(name)
+            pages[page_of(name)] = class_page(name, table)
     for uri, text in pages.items():
         files.append(File.generated(config, uri, content=text))
     return files
@@ -137,8 +140,13 @@ def link_to(name: Name, module: str, first: Name) -> str:
     return f"`{name.name}`"
 
 
-def class_page(name: Name) -> str:
-    """A class with its methods."""
+def class_page(name: Name, table: dict[str, Any]) -> str:
+    """A class with its methods, and its picture of the gallery where there is one."""
+    shown = picture_of_class(name.name, table)
+    picture = []
+    if shown is not None:
+        sensor = shown["sensor"]
+        picture = [slider(shown, "../../../"), "", f"*{shown['title']} ([gallery](../../gallery/{sensor}.md)).*", ""]
     return "\n".join(
         [
             f"# {name.name}",
@@ -149,6 +157,7 @@ def class_page(name: Name) -> str:
             f"from {name.module} import {name.name}",
             "```",
             "",
+            *picture,
             f"::: {name.path}",
             "    options:",
             "      heading_level: 2",
