@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import statistics
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ import torch
 
 from torchweather.io import atomic_write
 
-__all__ = ["hand_over", "machine", "spread", "times_ms"]
+__all__ = ["commit", "hand_over", "machine", "spread", "times_ms"]
 
 
 def times_ms(call: Callable[[], object], repeats: int) -> dict[str, float]:
@@ -48,10 +49,23 @@ def cpu_name() -> str:
         return platform.processor()
 
 
+def commit() -> str | None:
+    """Commit of the code that is measured, with ``+ changes`` where files differ from it; ``None`` outside a clone."""
+    git = ["git", "-C", str(Path(__file__).parent)]
+    try:
+        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
+        status = [*git, "status", "--porcelain", "--untracked-files=no"]
+        changed = subprocess.run(status, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return f"{head} + changes" if changed else head
+
+
 def machine() -> dict[str, Any]:
-    """What the figures belong to."""
+    """What the figures belong to: the code's commit and the machine."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {
+        "commit": commit(),
         "cpu": cpu_name(),
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),

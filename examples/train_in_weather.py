@@ -230,6 +230,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     draw(rows, arguments.out / "train_in_weather.png")
     found = {
+        "commit": importlib.import_module("measure").commit(),
         "machine": platform.processor() or platform.machine(),
         "seconds": round(time.perf_counter() - began),
         "rows": [{**row, "scores": [one if math.isfinite(one) else None for one in row["scores"]]} for row in rows],
