@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 import yaml
 
+import torchweather
 from torchweather.cli.program import build_parser
 from torchweather.recipes import list_recipes
 
@@ -38,7 +39,8 @@ class Generated:
 def hook(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ModuleType:
     """A hook of the site as a module, without mkdocs, which the tests' environment lacks."""
     places = ("mkdocs", "mkdocs.config", "mkdocs.config.defaults", "mkdocs.structure", "mkdocs.structure.files")
-    stand_ins = {name: types.ModuleType(name) for name in places}
+    stand_ins = {name: types.ModuleType(name) for name in (*places, "mkdocs.exceptions")}
+    stand_ins["mkdocs.exceptions"].PluginError = ValueError  # type: ignore[attr-defined]
     stand_ins["mkdocs.config.defaults"].MkDocsConfig = object  # type: ignore[attr-defined]
     stand_ins["mkdocs.structure.files"].File = Generated  # type: ignore[attr-defined]
     stand_ins["mkdocs.structure.files"].Files = list  # type: ignore[attr-defined]
@@ -76,6 +78,12 @@ def test_every_page_has_one_place_in_the_navigation() -> None:
 
 def written_by(hook: ModuleType) -> dict[str, str]:
     return dict(hook.on_files([], types.SimpleNamespace(docs_dir=str(ROOT / "docs"))))
+
+
+@pytest.mark.parametrize("hook", ["version"], indirect=True)
+def test_every_page_states_the_version(hook: ModuleType) -> None:
+    config = hook.on_config(types.SimpleNamespace(docs_dir=str(ROOT / "docs"), copyright="Some-licence"))
+    assert config.copyright == f"torchweather {torchweather.__version__}. Licence: Some-licence"
 
 
 @pytest.mark.parametrize("hook", ["tables"], indirect=True)
