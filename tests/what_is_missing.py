@@ -138,6 +138,12 @@ def of_lists() -> Iterator[str]:
         yield "names of `torchweather list`: run python -m tests.listed_names"
     if public_names.written() != {module: public_names.names_of(module) for module in public_names.MODULES}:
         yield "docs/public-names.md: run python -m tests.public_names"
+    gallery: Any = importlib.import_module("tests.test_docs_gallery")
+    entries = importlib.import_module("tests.test_docs_effects").module_of(ROOT / "docs/_figures/gallery_entries.py")
+    drawn = {entry["name"]: entry["code"] for entry in gallery.TABLE["entries"]}
+    changed = [entry.name for entry in entries.entries() if drawn.get(entry.name) != entry.code]
+    if changed:
+        yield f"{', '.join(changed)}: draw them for the gallery: python docs/_figures/gallery.py"
     record = json.loads((ROOT / "tests" / "behaviour" / "record.json").read_text(encoding="utf-8"))
     unrecorded = [
         name
