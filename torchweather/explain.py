@@ -15,6 +15,7 @@ from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, parse_weat
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import InputValueError
 from torchweather.core.text import aligned
+from torchweather.lidar.receiver_numbers import receiver_numbers
 from torchweather.lidar.sensor import Lidar
 from torchweather.physics import (
     DB_PER_KM,
@@ -39,6 +40,15 @@ ATTENUATION_MODELS = {
     "fog": "ITU-R P.840 times the liquid water content",
     "snow": "Mie, dry flakes as ice-air spheres (uncertain by a factor 3-10)",
 }
+GENERIC_NEAR = (
+    "The near response of this preset is generic, and decides how many particles are seen (docs/sensitivity.md)."
+)
+# The extinction that a sensor sees, beside all of it.
+EFFECTIVE, RENDERED = "extinction_effective_per_m", "extinction_rendered_per_m"
+SEEN_TITLES = {EFFECTIVE: "effective extinction 1/m", RENDERED: "rendered extinction 1/m"}
+# A camera draws the shadows of drops and flakes; the light that they diffract stays within its blur. Droplets of fog
+# send it elsewhere (PHYSICS.md 3.2, 4.2).
+Q_RENDERED = {"rain": 1.0, "snow": 1.0, "fog": 2.0}
 MELTING_MODEL = "Mie, flakes enclosed in their melt water (an upper bound)"
 
 Sensor = Camera | Lidar | Radar
@@ -52,6 +62,7 @@ def explain(
     wavelength_nm: float | None = None,
     frequency_ghz: float | None = None,
     polarisation: str | None = None,
+    receiver: bool = False,
 ) -> dict[str, Any]:
     """The physical numbers of a weather for a sensor, as plain values.
 
@@ -61,13 +72,16 @@ def explain(
         wavelength_nm: leaves one band of a camera or LiDAR, at this wavelength, 300-2500 nm.
         frequency_ghz: replaces the radar's carrier, 1-1000 GHz.
         polarisation: replaces the radar's, ``h`` or ``v``.
+        receiver: add what a LiDAR's receiver makes of the weather; takes a second or more. Other sensors have none.
 
     Returns:
         ``weather`` (its fields), ``sensor`` (its name) and
 
         - ``bands``: for each, ``name``, ``extinction_per_m`` (all of it, q_eff = 2), ``backscatter_per_m_sr``, and
           ``wavelength_nm`` or, for radar, ``frequency_ghz``, ``polarisation`` and ``attenuation_db_per_km`` (one way).
-          A LiDAR's bands also have ``extinction_effective_per_m``, without the forward lobe that stays in the beam.
+          A LiDAR's bands also have ``extinction_effective_per_m``, without the forward lobe that stays in the beam; a
+          camera's ``extinction_rendered_per_m``, of rain and snow the particles' shadows alone (q_eff = 1).
+        - ``receiver``: where asked for, of a LiDAR (``lidar.receiver_numbers``).
         - ``mor_m``: visibility from Mie extinction at 550 nm; infinite where nothing falls. For fog beside it
           ``mor_nominal_m``, the fog's own parameter.
         - ``particles_per_m3``, ``liquid_water_g_per_m3``.
@@ -100,6 +114,8 @@ def explain(
     present = [(part, distribution) for part, distribution in parts if float(distribution.total_per_m3) > 0]
     numbers: dict[str, Any] = {"weather": weather.to_dict(), "sensor": name}
     numbers["bands"] = BANDS[sensor.kind](present, sensor, wavelength_nm, frequency_ghz, polarisation)
+    if receiver and sensor.kind in RECEIVERS:
+        numbers["receiver"] = RECEIVERS[sensor.kind](weather, sensor)
     band = numbers["bands"][0]
     numbers |= {key: band[key] for key in ("attenuation_db_per_km",) if key in band}
     described = [_part(part, distribution) for part, distribution in parts]
@@ -131,9 +147,10 @@ def _optical_bands(
     frequency_ghz: float | None,
     polarisation: str | None,
     *,
-    effective: bool,
+    key: str,
+    seen: Mapping[str, float],
 ) -> list[dict[str, Any]]:
-    """Bands of a camera or LiDAR; ``effective`` adds the extinction without the forward lobe."""
+    """Bands of a camera or LiDAR; ``key`` names the extinction that the sensor sees, by the efficiencies ``seen``."""
     if frequency_ghz is not None or polarisation is not None:
         raise InputValueError(
             f"explain: frequency_ghz and polarisation are for radars; a {sensor.kind} takes wavelength_nm."
@@ -142,26 +159,28 @@ def _optical_bands(
     if wavelength_nm is not None:
         known = {wavelength: name for name, wavelength in named.items()}
         named = {known.get(wavelength_nm, f"{wavelength_nm:g} nm"): float(wavelength_nm)}
-    return [_optical_band(parts, name, wavelength, effective=effective) for name, wavelength in named.items()]
+    return [_optical_band(parts, name, wavelength, key=key, seen=seen) for name, wavelength in named.items()]
 
 
-def _optical_band(parts: Parts, name: str, wavelength_nm: float, *, effective: bool) -> dict[str, Any]:
-    extinction, seen, backscatter = 0.0, 0.0, 0.0
+def _optical_band(
+    parts: Parts, name: str, wavelength_nm: float, *, key: str, seen: Mapping[str, float]
+) -> dict[str, Any]:
+    extinction, visible, backscatter = 0.0, 0.0, 0.0
     for part, distribution in parts:
         alone = float(extinction_per_m(distribution, wavelength_nm, temperature_c=_temperature_c(part)))
         extinction += alone
-        seen += alone * Q_EFF[part.kind] / 2.0
+        visible += alone * seen[part.kind] / 2.0
         # A flake is a Lambertian disk: Q_back = 4 rho (PHYSICS.md 5.9). Rain and fog have defaults of their own.
         q_back = 4.0 * part.reflectivity_at(wavelength_nm) if isinstance(part, Snow) else None
         beta = backscatter_per_m_sr(distribution, wavelength_nm, temperature_c=_temperature_c(part), q_back=q_back)
         backscatter += float(beta)
-    band: dict[str, Any] = {
+    return {
         "name": name,
         "wavelength_nm": wavelength_nm,
         "extinction_per_m": extinction,
         "backscatter_per_m_sr": backscatter,
+        key: visible,
     }
-    return {**band, "extinction_effective_per_m": seen} if effective else band
 
 
 def _radar_bands(
@@ -194,9 +213,11 @@ def _radar_bands(
     return [band]
 
 
+RECEIVERS: dict[str, Callable[..., dict[str, Any]]] = {"lidar": receiver_numbers}
+"""By the kind of the sensor: what its receiver makes of a weather."""
 BANDS: dict[str, Callable[..., list[dict[str, Any]]]] = {
-    "camera": partial(_optical_bands, effective=False),
-    "lidar": partial(_optical_bands, effective=True),
+    "camera": partial(_optical_bands, key=RENDERED, seen=Q_RENDERED),
+    "lidar": partial(_optical_bands, key=EFFECTIVE, seen=Q_EFF),
     "radar": _radar_bands,
 }
 """By the kind of the sensor: its bands in weathers, from the sensor and what replaces its wavelength or carrier."""
@@ -252,20 +273,20 @@ def explanation_text(numbers: Mapping[str, Any]) -> str:
     """
     lines = [f"{_weather_text(numbers['weather'])} as {numbers['sensor']} sees it", ""]
     radar = "attenuation_db_per_km" in numbers
-    lidar = any("extinction_effective_per_m" in band for band in numbers["bands"])
+    seen = next((key for key in (EFFECTIVE, RENDERED) if key in numbers["bands"][0]), None)
     header = ["band", "frequency" if radar else "wavelength", "extinction 1/m", "backscatter 1/(m sr)"]
-    header += ["attenuation dB/km, one way"] if radar else ["effective extinction 1/m"] if lidar else []
+    header += ["attenuation dB/km, one way"] if radar else [SEEN_TITLES[seen]] if seen else []
     rows = [header]
     for band in numbers["bands"]:
         at = f"{band['frequency_ghz']:g} GHz {band['polarisation']}" if radar else f"{band['wavelength_nm']:g} nm"
         row = [band["name"], at, f"{band['extinction_per_m']:.4g}", f"{band['backscatter_per_m_sr']:.4g}"]
-        extra = band.get("attenuation_db_per_km", band.get("extinction_effective_per_m"))
+        extra = band["attenuation_db_per_km"] if radar else band[seen] if seen else None
         rows.append(row if extra is None else [*row, f"{extra:.4g}"])
     lines += ["  " + line for line in aligned(rows)]
-    if lidar:
-        kinds = [part["kind"] for part in numbers["parts"]]
-        named = ", ".join(f"{Q_EFF[kind]:g} for {kind}" for kind in kinds)
-        lines += ["", f"  effective extinction = extinction q_eff / 2 with q_eff = {named}"]
+    if seen:
+        efficiencies = Q_EFF if seen == EFFECTIVE else Q_RENDERED
+        named = ", ".join(f"{efficiencies[part['kind']]:g} for {part['kind']}" for part in numbers["parts"])
+        lines += ["", f"  {SEEN_TITLES[seen].removesuffix(' 1/m')} = extinction q_eff / 2 with q_eff = {named}"]
     if radar:
         lines += ["", *(f"  {part['kind']}: {_attenuation_model(part)}" for part in numbers["parts"])]
     facts = [["visibility (Mie, 550 nm, 5 % contrast)", _metres(numbers["mor_m"])]]
@@ -279,7 +300,44 @@ def explanation_text(numbers: Mapping[str, Any]) -> str:
             facts.append([f"median volume diameter, {part['kind']}", f"{median:.4g} mm"])
         if "rate_carried_mm_per_h" in part:
             facts.append([f"rate that the {part['kind']} carries", f"{part['rate_carried_mm_per_h']:.4g} mm/h"])
-    return "\n".join([*lines, "", *("  " + line for line in aligned(facts))])
+    if "uncertainty" in numbers:
+        facts += [
+            [
+                f"{name}, range by one default at a time",
+                f"{one['value']:.3g} ({one['least']:.3g} to {one['largest']:.3g})",
+            ]
+            for name, one in numbers["uncertainty"].items()
+        ]
+    if "receiver" in numbers:
+        facts += _receiver_facts(numbers["receiver"])
+    text = "\n".join([*lines, "", *("  " + line for line in aligned(facts))])
+    if numbers.get("receiver", {}).get("near_is_generic"):
+        text += f"\n\n  {GENERIC_NEAR}"
+    return text
+
+
+def _receiver_facts(receiver: Mapping[str, Any]) -> list[list[str]]:
+    """Rows of a LiDAR's receiver, each with the option of ``apply`` that replaces it."""
+    near = (
+        f"0 at {receiver['near_start_m']:g} m, full at {receiver['near_full_m']:g} m, power {receiver['near_power']:g}"
+    )
+    facts = [
+        ["range at 10 % (--range-at-10-percent-m)", f"{receiver['range_at_10_percent_m']:g} m"],
+        ["near response (--near-start-m, --near-full-m, --near-power)", near],
+        ["pulse width (--pulse-width-ns)", f"{receiver['pulse_width_ns']:g} ns"],
+        ["margin of returns (--margin-db)", f"{receiver['margin_db']:g} dB"],
+    ]
+    option = {"rain": " (--q-back)", "snow": " (--weather snow:flake_reflectivity=)"}
+    facts += [
+        [f"backscatter efficiency, {kind}{option.get(kind, '')}", f"{value:.3g}"]
+        for kind, value in receiver["q_back"].items()
+    ]
+    at = f"{receiver['object_range_m']:g} m"
+    return [
+        *facts,
+        ["false returns, of beams into open air", f"{receiver['false_return_share']:.3g}"],
+        [f"lost returns, of objects of 10 % at {at}", f"{receiver['lost_share']:.3g}"],
+    ]
 
 
 def _attenuation_model(part: Mapping[str, Any]) -> str:

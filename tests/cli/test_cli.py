@@ -108,7 +108,8 @@ def test_explain_gives_the_keys_of_a_camera(explained: Any) -> None:
         ("blue", 460),
     ]
     for band in numbers["bands"]:
-        assert set(band) == {"name", "wavelength_nm", "extinction_per_m", "backscatter_per_m_sr"}
+        extinctions = {"extinction_per_m", "extinction_rendered_per_m"}
+        assert set(band) == {"name", "wavelength_nm", "backscatter_per_m_sr", *extinctions}
     assert {"mor_m", "particles_per_m3", "liquid_water_g_per_m3"} <= set(numbers)
 
 

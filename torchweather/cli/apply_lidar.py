@@ -96,6 +96,8 @@ def builder(
     options = {} if recipe is None else dict(recipe.options)
     if args.lost is not None:
         options["lost"] = args.lost
+    if getattr(args, "q_back", None) is not None:  # `view` has no such argument
+        options["q_back"] = args.q_back
     if args.complete_scan or args.sky_only:
         options["complete_scan"] = complete_scan_of(args)
     kind: Any = LidarWeather if recipe is None else transform_class(recipe, weather)

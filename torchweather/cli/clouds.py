@@ -42,6 +42,9 @@ LIDAR_FIELDS = (
     "range_at_10_percent_m",
     "near_start_m",
     "near_full_m",
+    "near_power",
+    "pulse_width_ns",
+    "margin_db",
     "max_range_m",
     "columns",
     "sensor_origin",
@@ -50,6 +53,7 @@ LIDAR_FIELDS = (
 READING = ("bin_columns", "bin_dtype", "viewpoint")
 LIDAR_ARGUMENTS = (
     *LIDAR_FIELDS,
+    "q_back",
     "intensity",
     "lost",
     "complete_scan",
@@ -105,6 +109,7 @@ def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
     add_complete_scan(group)
     add_reading(group)
     add_force(group)
+    group.add_argument("--q-back", type=float, help="backscatter efficiency of raindrops, 0.094 to 0.6; default 0.2")
     group.add_argument(
         "--lost",
         help="lost points become zero (default; other columns stay; a radar's leave the file), nan, or drop: left out",
@@ -169,6 +174,9 @@ def add_lidar_fields(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--range-at-10-percent-m", type=float, help="range at which 10 %% reflectivity is just seen, m")
     group.add_argument("--near-start-m", type=float, help="nearer than this, m, it sees nothing of the weather")
     group.add_argument("--near-full-m", type=float, help="from here on, m, it sees the weather in full")
+    group.add_argument("--near-power", type=float, help="power of the rise between them; 1 is linear")
+    group.add_argument("--pulse-width-ns", type=float, help="width of the pulse (FWHM), ns")
+    group.add_argument("--margin-db", type=float, help="mean margin of returns in clear air above the threshold, dB")
     group.add_argument("--max-range-m", type=float, help="largest range, m")
     group.add_argument(
         "--sensor-origin",

@@ -23,6 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--wavelength-nm", type=float, help="one band of a camera or LiDAR, at this wavelength")
     parser.add_argument("--frequency-ghz", type=float, help="carrier of a radar")
     parser.add_argument("--polarisation", help="of a radar: h or v")
+    parser.add_argument(
+        "--uncertainty",
+        action="store_true",
+        help="also print how far results move as each unmeasured default is varied (up to a minute)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -36,7 +41,16 @@ def run(args: argparse.Namespace) -> int:
         wavelength_nm=args.wavelength_nm,
         frequency_ghz=args.frequency_ghz,
         polarisation=args.polarisation,
+        receiver=True,
     )
+    if args.uncertainty:
+        from torchweather.evaluation.sensitivity import uncertainty
+
+        ranges = uncertainty(args.weather, args.sensor)
+        numbers["uncertainty"] = {
+            name: {"value": value, "least": least, "largest": largest}
+            for name, (value, least, largest) in ranges.items()
+        }
     if args.json:
         print_json(numbers)
     else:

@@ -10,7 +10,7 @@ from torchweather.core.arguments import check_arguments
 from torchweather.lidar.stages import Extinction, ParticleReturns
 from torchweather.lidar.transform import LidarWeather
 
-__all__ = ["OpenAirReturns", "open_air_returns"]
+__all__ = ["UNMEASURED", "OpenAirReturns", "open_air_returns", "open_air_share"]
 
 # The range at which a response (R / R_full)^2 is full, metres, between which answers are stated (PHYSICS.md 10.13).
 SLOW_M, FAST_M = 30.0, 10.0
@@ -63,17 +63,19 @@ def open_air_returns(transform: LidarWeather) -> OpenAirReturns:
         True
     """
     check_arguments("open_air_returns(transform: LidarWeather)", transform)
-    sensor, own = transform.sensor, _share(transform)
+    sensor, own = transform.sensor, open_air_share(transform)
     if (sensor.near_start_m, sensor.near_full_m, sensor.near_power) != UNMEASURED:
         return OpenAirReturns(own)
     slow, fast = (
-        _share(LidarWeather(transform.weather, replace(sensor, near_start_m=0.0, near_full_m=full_m, near_power=2.0)))
+        open_air_share(
+            LidarWeather(transform.weather, replace(sensor, near_start_m=0.0, near_full_m=full_m, near_power=2.0))
+        )
         for full_m in (SLOW_M, FAST_M)
     )
     return OpenAirReturns(own, slow, fast)
 
 
-def _share(transform: LidarWeather) -> float:
+def open_air_share(transform: LidarWeather) -> float:
     """Probability that a beam of the sensor's reach has a particle above the threshold."""
     stages = transform.chain.stages.values()
     returns = next((stage for stage in stages if isinstance(stage, ParticleReturns)), None)

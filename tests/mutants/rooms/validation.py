@@ -73,4 +73,12 @@ MUTANTS = (
         'if lidar.intensity_unit == "never" else lidar',
         (f"{FIT_TESTS}::test_the_embedded_study_rounds_once",),
     ),
+    Mutant(
+        "rendered_in_full",
+        "a camera renders the shadows of drops alone",
+        "torchweather.explain",
+        'Q_RENDERED = {"rain": 1.0, "snow": 1.0, "fog": 2.0}',
+        'Q_RENDERED = {"rain": 2.0, "snow": 2.0, "fog": 2.0}',
+        ("tests/evaluation/sensitivity/test_sensitivity.py::test_what_the_camera_renders_is_what_explain_prints",),
+    ),
 )
