@@ -144,8 +144,12 @@ def test_a_broken_package_is_named_and_others_go_on(acme: Path) -> None:
     entries = {
         "sensors": {"lidar.broken": "broken_weather:VALUES", "lidar.not-fields": "acme_weather.weathers:drizzle"},
         "weathers": {"broken": "broken_weather:VALUES", "not-weather": "builtins:dict"},
-        "effects": {"lidar.broken": "broken_weather:VALUES", "lidar.other_id": "acme_weather.effects:AcmeGainDrift"},
-        "recipes": {"broken": "broken_weather"},
+        "effects": {
+            "lidar.no-value": ":",
+            "lidar.broken": "broken_weather:VALUES",
+            "lidar.other_id": "acme_weather.effects:AcmeGainDrift",
+        },
+        "recipes": {"broken": "broken_weather", "no-value": ":"},
     }
     install(acme, "broken-weather", entries)
     asked = {
@@ -155,11 +159,15 @@ def test_a_broken_package_is_named_and_others_go_on(acme: Path) -> None:
         "not-weather": lambda: parse_weather("not-weather"),
         "lidar.broken": lambda: effect_from_dict({"effect": "lidar.broken"}),
         "lidar.other_id": lambda: effect_from_dict({"effect": "lidar.other_id"}),
+        "lidar.no-value": lambda: effect_from_dict({"effect": "lidar.no-value"}),
+        "entry point no-value": lambda: read_recipe("no-value/any"),
         "entry point broken = broken_weather of": lambda: read_recipe("broken/any"),
     }
     for said, ask in asked.items():
         with pytest.raises(TorchweatherError, match=f"package broken-weather, .*{re.escape(said.split(', ')[-1])}"):
             ask()
+    with pytest.raises(TorchweatherError, match=r"No module named 'no_such_module'\. Mend or uninstall"):
+        Chain.from_dict({"format": "torchweather-chain/1", "stages": [{"name": "x", "stage": "VALUES"}]})
     assert tw.Lidar.preset("acme-32").range_noise_m == 0.03
     assert len(parse_weather("acme-drizzle").parts) == 2
     assert read_recipe("acme/drizzle-on-acme").kind == "transform"

@@ -70,7 +70,9 @@ class Plugin:
 
     def error(self, text: str) -> TorchweatherError:
         """An error that names the package and the entry point."""
-        return TorchweatherError(f"{self}: {text} Mend or uninstall the package; other names work without it.")
+        return TorchweatherError(
+            f"{self}: {text.removesuffix('.')}. Mend or uninstall the package; other names work without it."
+        )
 
 
 def plugins(group: str) -> dict[str, tuple[Plugin, ...]]:
@@ -186,7 +188,10 @@ def recipe_files(plugin: Plugin) -> dict[str, Path]:
 def _folder(plugin: Plugin) -> Path | None:
     """Folder of an entry point's module, found without importing it; ``None`` where there is none."""
     top, _, rest = plugin.entry.value.partition(".")
-    spec = find_spec(top)
+    try:
+        spec = find_spec(top)
+    except ValueError:  # no name, or a module that has no place
+        return None
     for place in () if spec is None else spec.submodule_search_locations or ():
         folder = Path(place, *filter(None, rest.split(".")))
         if folder.is_dir():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from typing import TypeVar
 
 from torchweather.core.errors import InputValueError
@@ -26,8 +27,13 @@ def load_stage(name: object) -> None:
     """Register the effect of an installed package whose class has a name; do nothing where none has."""
     for owners in plugins("effects").values():
         for plugin in owners:
-            if name not in STAGES and plugin.entry.attr.rpartition(".")[2] == name:
-                register(plugin.load())
+            # The text behind the last point or colon: a value that is no entry point has no other parts.
+            if name in STAGES or re.split(r"[.:]", plugin.entry.value)[-1] != name:
+                continue
+            stage = plugin.load()
+            if not (isinstance(stage, type) and issubclass(stage, Stage)):
+                raise plugin.error(f"is no effect: expected a subclass of Effect; got {stage!r:.200}.")
+            register(stage)
 
 
 T = TypeVar("T", bound=type[Stage])
