@@ -77,9 +77,9 @@ def covers(chain: Chain, state: LidarState, noise: Mapping[str, Tensor]) -> bool
     if is_exporting() or not uses_compiled() or rendered_by(chain) != "numba":
         return False
     scene, air, receiver = state.scene, state.air, state.receiver
-    changed = (air.density_scale, air.patches, air.path_density, air.beam_density, air.size_factors)
-    changed += (receiver.threshold_scale, receiver.extra_divergence_rad, receiver.extra_near_power)
-    if any(one is not None for one in changed):
+    of_air = (air.density_scale, air.patches, air.path_density, air.beam_density, air.size_factors)
+    of_receiver = (receiver.threshold_scale, receiver.extra_divergence_rad, receiver.extra_near_power)
+    if any(one is not None for one in (*of_air, *of_receiver)):
         return False
     clouds = (scene.points_in, scene.clear_range_m, air.reach_m)
     if not scene.points_in.numel() or any(one.dtype != torch.float32 for one in clouds):

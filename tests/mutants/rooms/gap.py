@@ -198,8 +198,8 @@ MUTANTS = (
         "a_fit_may_end_worse_than_it_began",
         "no fit ends worse than it began",
         "torchweather.gap.inference.likelihood",
-        "if found.misfit > begun and point != start:",
-        "if False:",
+        "if end.misfit <= begun or point == start:",
+        "if True:",
         ("tests/gap/inference/test_likelihood.py::test_no_fit_ends_worse_than_it_began",),
     ),
     Mutant(

@@ -502,11 +502,12 @@ class SimulatorLikelihood:
                 cost = here.cost(residual)
             elif gained > 10.0 * stalled:
                 renewed = False
-        found = self._fit_at(point, here, base, covariance, names)
-        if found.misfit > begun and point != start:
-            # The scatter of where a step leads to is not known on the way: no fit ends worse than where it began.
-            found = min(found, self._fit_at(start, nuisance, base, covariance, names), key=lambda one: one.misfit)
-        return found
+        end = self._fit_at(point, here, base, covariance, names)
+        if end.misfit <= begun or point == start:
+            return end
+        # The scatter of where a step leads to is not known on the way: no fit ends worse than where it began.
+        beginning = self._fit_at(start, nuisance, base, covariance, names)
+        return min(end, beginning, key=lambda one: one.misfit)
 
     def _fit_at(
         self,
