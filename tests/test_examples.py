@@ -77,6 +77,7 @@ MEASURED: dict[str, list[str]] = {
 }
 # Tested in a file of their own.
 ELSEWHERE = {
+    "against_recordings.py": "test_against_recordings.py",
     "fog_on_a_highway.py": "test_highway_example.py",
     "gap_d34_suspicions.py": "gap/study/test_hidden_study.py",
     "gap_wads_snow.py": "test_gap_wads_example.py",
