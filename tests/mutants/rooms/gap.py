@@ -10,6 +10,17 @@ FORMULA = "torchweather.gap.statistics.formula"
 
 MUTANTS = (
     Mutant(
+        "mask_hides_nothing",
+        "what a scene's mask leaves out is no change of the scene",
+        "torchweather.gap.sensors.camera.scene_change",
+        "if left_out is not None:",
+        "if left_out is None and not scene:",
+        (
+            "tests/gap/sensors/camera/test_camera_frames.py"
+            "::test_the_parts_that_changed_are_named_and_a_mask_answers_them",
+        ),
+    ),
+    Mutant(
         "the_whole_of_a_share_called_an_end",
         "a value that nothing exceeds is no end of the search",
         "torchweather.gap.gap_report",

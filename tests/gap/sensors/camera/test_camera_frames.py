@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields, replace
 from functools import lru_cache
 
@@ -466,6 +467,33 @@ def test_a_scene_that_moved_is_named(kind: str) -> None:
             frame["bayer"] = np.ascontiguousarray(np.roll(frame["bayer"], 14, 1))
     with pytest.raises(TorchweatherError, match="scene changed"):
         find_gap(Study.from_arrays(**given))
+
+
+def moved_study(mask: tuple[slice, slice] | None) -> Study:
+    """The picture of every condition is shifted in its left half."""
+    given = values_of(kind="fog")
+    half = WIDTH // 2
+    for one in given["conditions"]:
+        for frame in one["frames"]:
+            frame["bayer"] = frame["bayer"].copy()
+            frame["bayer"][:, :half] = np.roll(frame["bayer"][:, :half], 14, 1)
+    if mask is not None:
+        left_out = np.zeros((HEIGHT, WIDTH), np.uint8)
+        left_out[mask] = 1
+        given["scenes"][0]["geometry"]["mask"] = left_out
+    return Study.from_arrays(**given)
+
+
+def test_the_parts_that_changed_are_named_and_a_mask_answers_them() -> None:
+    with pytest.raises(
+        TorchweatherError, match=r"scene changed.*32 x 32 px from \(row, column\) \(\d+, \d+\)"
+    ) as found:
+        CameraFrames(moved_study(None))
+    named = re.findall(r"\((\d+), (\d+)\)", str(found.value))
+    assert all(int(column) < WIDTH // 2 for _, column in named)
+    CameraFrames(moved_study((slice(None), slice(0, WIDTH // 2 + 8))))
+    with pytest.raises(TorchweatherError, match="scene changed"):
+        CameraFrames(moved_study((slice(None), slice(WIDTH // 2 + 8, WIDTH))))  # what stands still
 
 
 def test_effects_of_the_catalogue_are_no_change_of_the_scene() -> None:

@@ -113,7 +113,7 @@ class CameraFrames:
         self._kept: OrderedDict[object, Reduced] = OrderedDict()
         self._lock = threading.Lock()
         for name in self.scenes:
-            self._refuse_changed(name)
+            self._refuse_changed(name, study.scenes[name].geometry.get("mask"))
 
     # ---- frames --------------------------------------------------------------------------------------------------
 
@@ -245,14 +245,14 @@ class CameraFrames:
                     self._keep((key, seed), found[seed])
         return Reduced.joined([found[seed] for seed in wanted])
 
-    def _refuse_changed(self, scene_id: str) -> None:
-        """Raise where the scene is another one in weather (``camera_change.py``)."""
+    def _refuse_changed(self, scene_id: str, mask: Any) -> None:
+        """Raise where the scene is another one in weather, outside of its mask (``scene_change.py``)."""
         scene = self.scenes[scene_id]
         own = [one for one in (*self.fit, *self.holdout) if one.scene == scene_id]
         measured = {one.id: self._of(one).mean_level(_frames(one)) for one in own}
         modelled = {one.id: self._of(one).modelled_level for one in own}
         level = None if scene.normal is None else scene.level_ground
-        refuse_changed(scene_id, measured, modelled, level)
+        refuse_changed(scene_id, measured, modelled, level, None if mask is None else torch.from_numpy(mask != 0))
 
     # ---- the chain -----------------------------------------------------------------------------------------------
 

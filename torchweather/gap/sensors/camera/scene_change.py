@@ -22,10 +22,16 @@ UNEXPLAINED = 0.6  # of the energy of edges, that the clear scene does not expla
 TOGETHER = 0.7  # correlation of what is not explained in two conditions
 STRONG = 0.03  # root mean square of the unexplained logarithm of neighbouring blocks' ratio
 MOSTLY = 0.5
+BLOCK_PX = 4
+MOST_NAMED = 6
 
 
 def refuse_changed(
-    scene: str, measured: Mapping[str, Tensor], modelled: Mapping[str, Tensor], level: Tensor | None
+    scene: str,
+    measured: Mapping[str, Tensor],
+    modelled: Mapping[str, Tensor],
+    level: Tensor | None,
+    left_out: Tensor | None = None,
 ) -> None:
     """Raise where parts of the picture show, in two conditions alike, what the clear scene does not have.
 
@@ -34,6 +40,7 @@ def refuse_changed(
         measured: condition to the mean logarithm of blocks ``(h, w)`` over its frames.
         modelled: condition to the same of the clear scene in its weather.
         level: ``(h, w)`` which blocks lie on level ground; ``None``: not known.
+        left_out: ``(H, W)`` pixels of the frame that do not count; ``None``: none. Parts with one are left out.
 
     Raises:
         TorchweatherError: the scene changed.
@@ -52,6 +59,8 @@ def refuse_changed(
     if level is not None:
         # Of both differences alike.
         standing = _windows(level[None, :-1, :-1].float().expand(2, -1, -1)) / (2 * WINDOW**2) < MOSTLY
+    if left_out is not None:
+        standing &= _windows(_blocks(left_out, names, measured)[None, :-1, :-1].expand(2, -1, -1)) == 0
     changed = torch.zeros_like(standing)
     for one, other in combinations(names, 2):
         own, its = (_windows(left[name].square()) for name in (one, other))
@@ -60,13 +69,22 @@ def refuse_changed(
         changed |= standing & strong & (together > TOGETHER) & (torch.minimum(share[one], share[other]) > UNEXPLAINED)
     number = int(changed.sum())
     if number >= FEWEST_WINDOWS:
-        row, column = changed.nonzero()[0].tolist()
+        side = BLOCK_PX * WINDOW
+        parts = [f"({side * row}, {side * column})" for row, column in changed.nonzero()[:MOST_NAMED].tolist()]
+        more = "" if number <= MOST_NAMED else f" and {number - MOST_NAMED} more"
         raise TorchweatherError(
             f"find_gap: scene changed: in weather {number} of {changed.numel()} parts of the picture of scene {scene} "
-            f"show edges that its clear frames do not have, the same in several conditions (the first one at row "
-            f"{4 * WINDOW * row}, column {4 * WINDOW * column}). Something moved, or the camera did. Take clear frames "
-            "of the scene as it is in weather, or leave these conditions out."
+            f"show edges that its clear frames do not have, the same in several conditions: {side} x {side} px from "
+            f"(row, column) {', '.join(parts)}{more}. Something moved, or the camera did. Take clear frames of the "
+            "scene as it is in weather, leave these conditions out, or put what moved in the scene's mask."
         )
+
+
+def _blocks(left_out: Tensor, names: Sequence[str], measured: Mapping[str, Tensor]) -> Tensor:
+    """1 for each block ``(h, w)`` that holds a pixel which does not count."""
+    rows, columns = measured[names[0]].shape
+    cut = left_out[: BLOCK_PX * rows, : BLOCK_PX * columns].float()
+    return cut.reshape(rows, BLOCK_PX, columns, BLOCK_PX).amax((1, 3))
 
 
 def _edges(level: Tensor) -> Tensor:
