@@ -7,6 +7,7 @@ from tests.mutants.mutant import Mutant
 RESIDUAL = "torchweather.gap.inference.residual_tests"
 RANDOM_EFFECTS = "torchweather.gap.statistics.frame_random_effects"
 FORMULA = "torchweather.gap.statistics.formula"
+CAMERA_FRAMES = "tests/gap/sensors/camera/test_camera_frames.py"
 
 MUTANTS = (
     Mutant(
@@ -15,10 +16,7 @@ MUTANTS = (
         "torchweather.gap.sensors.camera.scene_change",
         "if left_out is not None:",
         "if left_out is None and not scene:",
-        (
-            "tests/gap/sensors/camera/test_camera_frames.py"
-            "::test_the_parts_that_changed_are_named_and_a_mask_answers_them",
-        ),
+        (f"{CAMERA_FRAMES}::test_the_parts_that_changed_are_named_and_a_mask_answers_them",),
     ),
     Mutant(
         "the_whole_of_a_share_called_an_end",
