@@ -28,9 +28,9 @@ def verdicts() -> Any:
 def test_intervals_cover_and_the_stated_factor_is_seen(verdicts: Any) -> None:
     """6 units that scatter by 20 %: 90 % of the intervals hold the truth, 80 % of studies show the stated factor."""
     rng = np.random.default_rng(0)
-    noise = 0.2 * rng.standard_normal((2000, 6))
+    noise = 0.2 * rng.standard_normal((1000, 6))
     rows = [verdicts.row_of("a", "b", np.exp(one)) for one in noise]
-    assert np.mean([row.low <= 1.0 <= row.high for row in rows]) == pytest.approx(0.9, abs=0.02)  # 3 sigma: 0.02
+    assert np.mean([row.low <= 1.0 <= row.high for row in rows]) == pytest.approx(0.9, abs=0.03)  # 3 sigma: 0.03
     factor = float(np.median([row.seen_from for row in rows]))
     moved = [verdicts.row_of("a", "b", factor * np.exp(one)) for one in noise]
     # The factor of a study of few units scatters with its own deviation: the median of them is seen in 0.75 to 0.85.

@@ -173,7 +173,7 @@ def test_rounding_twice_hides_the_loss_of_near_objects() -> None:
 def test_the_embedded_study_rounds_once() -> None:
     from torchweather.gap.study.embedded import embedded_study
 
-    study = embedded_study("lidar", clear_frames=2, frames=2)
+    study = embedded_study("lidar", clear_frames=2, frames=1)
     condition = next(one for one in study.conditions if one.id == "rain-10")
     loss = lidar_loss_per_m(Rain(10.0), study.sensor_as(Lidar))
     clear, seen = study.scene_of(condition).clear[0], condition.frames[0]
