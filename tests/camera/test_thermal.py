@@ -127,6 +127,11 @@ def test_it_learns_the_temperature_and_the_depth() -> None:
         (lambda: ThermalWeather(Fog(mor_m=50.0), CAMERA)(frame(300.0), 20.0), "looks like kelvin"),
         (lambda: ThermalWeather(Fog(mor_m=50.0), CAMERA)(torch.zeros(1, 10, 10), 20.0), "24 x 32"),
         (lambda: ThermalWeather(Fog(mor_m=50.0), CAMERA)(frame(), -1.0), "0 m or more"),
+        (lambda: ThermalWeather(Fog(mor_m=50.0), CAMERA)(frame(), torch.ones(1, 3, 3)), "shapes must broadcast"),
+        (
+            lambda: ThermalWeather(Fog(mor_m=50.0), CAMERA)(frame().half(), 20.0),
+            "float32 or float64; got torch.float16",
+        ),
         (lambda: ThermalWeather(Fog(mor_m=50.0), CAMERA, low_um=3.0), "low_um"),
         (lambda: ThermalWeather(Fog(mor_m=50.0), CAMERA, low_um=12.0, high_um=9.0), "below high_um"),
         (lambda: ThermalWeather(Rain(Uniform(1.0, 5.0)), CAMERA), "drawn"),

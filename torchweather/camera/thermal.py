@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
 from torchweather.camera.rays import rays_of
 from torchweather.camera.sensor import Camera
-from torchweather.core.arguments import check_arguments
+from torchweather.core.arguments import check_arguments, check_broadcast
 from torchweather.core.errors import InputTypeError, InputValueError, check_at_least, check_between
 from torchweather.physics.extinction import Q_EFF, effective_extinction_per_m, extinction_per_m
 from torchweather.physics.thermal_band import COLDEST_C, HOTTEST_C, ThermalBand
@@ -119,6 +119,7 @@ class ThermalWeather(nn.Module):
             depth_m,
         )
         self._check_temperature(temperature_c)
+        check_broadcast("ThermalWeather", temperature_c=temperature_c, depth_m=depth_m)
         depth = torch.as_tensor(depth_m, dtype=temperature_c.dtype, device=temperature_c.device)
         if not torch.compiler.is_compiling() and bool((depth.isnan() | (depth < 0)).any()):
             raise InputValueError(
@@ -142,6 +143,11 @@ class ThermalWeather(nn.Module):
     def _check_temperature(self, temperature_c: Tensor) -> None:
         if torch.compiler.is_compiling():
             return
+        if temperature_c.dtype not in (torch.float32, torch.float64):
+            raise InputTypeError(
+                f"ThermalWeather: temperature_c must be float32 or float64; got {temperature_c.dtype}. Radiances over "
+                "the band have more range than half precision."
+            )
         height, width = self.camera.height, self.camera.width
         if tuple(temperature_c.shape[-2:]) != (height, width):
             raise InputValueError(
