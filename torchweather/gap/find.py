@@ -21,7 +21,7 @@ from torchweather.pipeline.effect import Effect
 
 __all__ = ["find_gap"]
 
-Model = Callable[[Study, Mapping[str, Any] | None, Sequence[Effect]], FrameModel]
+Model = Callable[[Study, Mapping[str, Any] | None, Sequence[Effect], Sequence[str]], FrameModel]
 # By the kind of a study: simulates and reduces its frames.
 MODELS: dict[str, Model] = {"lidar": LidarFrames, "camera": CameraFrames, "radar": RadarFrames, "link": LinkFrames}
 
@@ -45,6 +45,7 @@ def find_gap(
             have none.
         model_effects: effects that the model has already.
         effects: ids that may be named, such as ``lidar.window_loss``; ``None`` is the whole catalogue of the sensor.
+            Effects of lying snow, spray and drops that refract (``searched`` is False) are tried only where named.
         seed: of the simulation; the same seed gives the same answer but for ``seconds``.
         progress: called with a line of text at every step.
         say: the old name of ``progress``; goes with the next release.
@@ -74,6 +75,6 @@ def find_gap(
         raise TorchweatherError(f"find_gap: not enough data to decide: {broken[0].what} {broken[0].advice}")
     # Sums must not depend on the number of threads.
     with one_thread_an_operation():
-        model = MODELS[study.kind](study, options, model_effects)
+        model = MODELS[study.kind](study, options, model_effects, effects or ())
         result = find_gap_with(model, effects, seed, progress or (lambda text: None))
     return gap_report(result, study.sha256, seed)

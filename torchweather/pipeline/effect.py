@@ -117,7 +117,8 @@ class Effect(Stage):
         scatters: whether it makes whole frames differ from one another, so that a few of them may be off by more than
             many are on average.
         each_frame_anew: whether its noise is another one in each frame of a sequence.
-        searched: whether the gap workflow looks for it; what water and snow on things do is asked for by the weather.
+        searched: whether the gap workflow looks for it without being asked to; what water and snow on things do is
+            asked for by the weather, and searched for where it is named.
         unmodelled: quantities that it changes by an amount that no parameter gives, such as the brightness of a
             structure; names are those of the statistics of the gap workflow.
 

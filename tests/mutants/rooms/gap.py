@@ -19,6 +19,19 @@ MUTANTS = (
         (f"{CAMERA_FRAMES}::test_the_parts_that_changed_are_named_and_a_mask_answers_them",),
     ),
     Mutant(
+        "named_effects_of_snow_not_searched",
+        "an effect outside of the catalogue is searched for where it is named",
+        "torchweather.gap.inference.effect_forms",
+        "(effect.searched or name in named)",
+        "effect.searched",
+        (
+            (
+                "tests/gap/sensors/camera/test_camera_frames.py::test_water_and_snow_are_searched_for_where_they_are_"
+                "named"
+            ),
+        ),
+    ),
+    Mutant(
         "the_whole_of_a_share_called_an_end",
         "a value that nothing exceeds is no end of the search",
         "torchweather.gap.gap_report",

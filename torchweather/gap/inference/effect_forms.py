@@ -7,7 +7,7 @@ one parameter for each number. What is handed out is the catalogue's effect agai
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from torchweather.gap.inference.config import METHOD
@@ -21,6 +21,7 @@ __all__ = [
     "effect_class",
     "complexity_penalty",
     "is_another",
+    "searched_effects",
     "tried_values",
 ]
 
@@ -51,6 +52,22 @@ def counted_form(effect: type[Effect]) -> type[Effect]:
         (SearchForm, effect),
         {"complexity_penalty": METHOD.parameter_penalty * (len(effect.arguments) - 1)},
     )
+
+
+def searched_effects(sensor: str, named: Sequence[str] = ()) -> list[str]:
+    """Ids of a sensor's effects that are searched for: the catalogue's, and those of water and snow that are named.
+
+    Args:
+        sensor: ``lidar``, ``camera`` or ``radar``.
+        named: ids that the caller names.
+
+    Example:
+        >>> set(searched_effects("radar", ["radar.road_spray"])) - set(searched_effects("radar"))
+        {'radar.road_spray'}
+    """
+    return [
+        name for name, effect in EFFECTS.items() if name.startswith(f"{sensor}.") and (effect.searched or name in named)
+    ]
 
 
 def effect_class(model: object, name: str) -> type[Effect]:

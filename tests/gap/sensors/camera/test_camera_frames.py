@@ -310,9 +310,38 @@ def test_every_effect_of_the_catalogue_is_tried(model: CameraFrames) -> None:
     assert {f"camera.{name}" for name in MOVED} == set(model.catalogue)
 
 
-@pytest.mark.parametrize("name", MOVED)
+# Searched for where they are named alone.
+NAMED: dict[str, tuple[str, dict[str, float], str]] = {
+    "snow_cover": ("snow", {"depth_mm": 2.0}, "log_ratio_green"),
+    "road_spray": ("rain", {"water_g_per_m": 3.0, "distance_m": 15.0}, "log_ratio_map"),
+    "refracting_drops": ("rain", {"cover": 0.1}, "edge_contrast"),
+}
+
+
+def test_water_and_snow_are_searched_for_where_they_are_named(study: Study, model: CameraFrames) -> None:
+    named = [f"camera.{name}" for name in NAMED]
+    asked = CameraFrames(study, named=[*named, "lidar.snow_cover"])
+    assert set(asked.catalogue) == {*model.catalogue, *named}
+    assert set(named) <= set(asked.forms)  # of several parameters, each of which must pay
+    with pytest.raises(ValueError, match="effect must be one of"):
+        find_gap(study, effects=["lidar.snow_cover"])
+
+
+@pytest.mark.long
+def test_snow_on_the_ground_is_named_with_its_depth() -> None:
+    """Among all effects of cameras; 4 minutes."""
+    hidden = EFFECTS["camera.snow_cover"](depth_mm=2.0, uneven=0.5)
+    study = Study.from_arrays(**values_of([hidden], kind="snow", seed=4))
+    every = [name for name in EFFECTS if name.startswith("camera.")]
+    answer = find_gap(study, effects=every).to_dict()
+    (found,) = answer["effects"]
+    assert (answer["verdict"], found["name"]) == ("named", "camera.snow_cover")
+    assert found["parameters"]["depth_mm"] == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize("name", [*MOVED, *NAMED])
 def test_an_effect_moves_the_statistics_that_it_should(models: dict[str, CameraFrames], name: str) -> None:
-    kind, parameters, statistic = MOVED[name]
+    kind, parameters, statistic = (MOVED | NAMED)[name]
     model = models[kind]
     condition = model.fit[1]
     effect = EFFECTS[f"camera.{name}"](**parameters)

@@ -31,7 +31,7 @@ from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.camera.transform import BayerWeather
 from torchweather.core.random import keyed_stream
-from torchweather.gap.inference.effect_forms import counted_form
+from torchweather.gap.inference.effect_forms import counted_form, searched_effects
 from torchweather.gap.sensors.camera.particles import LEAST_STEP, MOST_STEP, Rendered
 from torchweather.gap.sensors.camera.scene import COLOURS, CameraScene, camera_scene, cell_colours
 from torchweather.gap.sensors.camera.scene_change import refuse_changed
@@ -68,12 +68,19 @@ class CameraFrames:
         study: of kind ``camera``.
         options: of ``BayerWeather`` (the model under test).
         effects: that the model has already.
+        named: ids of effects that are searched for although the catalogue leaves them out.
 
     Raises:
         TorchweatherError: a scene has a single clear frame, or is another one in weather.
     """
 
-    def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
+    def __init__(
+        self,
+        study: Study,
+        options: Mapping[str, Any] | None = None,
+        effects: Sequence[Effect] = (),
+        named: Sequence[str] = (),
+    ) -> None:
         sensor = study.sensor_as(Camera)
         self.options, self.effects = dict(options or {}), list(effects)
         self.fit, self.holdout = (
@@ -88,9 +95,7 @@ class CameraFrames:
         }
         with_normals = all(scene.normal is not None for scene in self.scenes.values())
         self.catalogue = [
-            name
-            for name, effect in EFFECTS.items()
-            if name.startswith("camera.") and effect.searched and (with_normals or "normal" not in effect.needs)
+            name for name in searched_effects("camera", named) if with_normals or "normal" not in EFFECTS[name].needs
         ]
         # A line along a diagonal blurs nearly as a disk does; with two numbers it always explains a little more.
         self.forms = {name: counted_form(EFFECTS[name]) for name in self.catalogue if len(EFFECTS[name].arguments) > 1}

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.gap.inference.effect_forms import searched_effects
 from torchweather.gap.sensors.lidar.forms import LIDAR_FORMS
 from torchweather.gap.sensors.lidar.scene import LidarScene, lidar_scene
 from torchweather.gap.sensors.lidar.sums import LidarSums, lidar_layout, map_cells
@@ -60,16 +61,23 @@ class LidarFrames:
         study: of kind ``lidar``.
         options: of ``LidarWeather`` (the model under test).
         effects: that the model has already.
+        named: ids of effects that are searched for although the catalogue leaves them out.
     """
 
-    def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
+    def __init__(
+        self,
+        study: Study,
+        options: Mapping[str, Any] | None = None,
+        effects: Sequence[Effect] = (),
+        named: Sequence[str] = (),
+    ) -> None:
         sensor = study.sensor_as(Lidar)
         self.options, self.effects = dict(options or {}), list(effects)
         self.fit, self.holdout = (
             [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
         )
         self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
-        self.catalogue = [name for name, effect in EFFECTS.items() if name.startswith("lidar.") and effect.searched]
+        self.catalogue = searched_effects("lidar", named)
         self.forms: Mapping[str, type[Effect]] = LIDAR_FORMS
         self.as_record: AbstractSet[str] = frozenset()
         direction = torch.from_numpy(np.asarray(study.beams["direction"], dtype=np.float32))

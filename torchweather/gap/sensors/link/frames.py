@@ -50,12 +50,19 @@ class LinkFrames:
         study: of kind ``link``.
         options: none; the model of links has no options.
         effects: that the model has already.
+        named: as of other sensors; every effect of links is in the catalogue.
 
     Raises:
         TorchweatherError: options are given, or the record does not hold what an answer needs.
     """
 
-    def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
+    def __init__(
+        self,
+        study: Study,
+        options: Mapping[str, Any] | None = None,
+        effects: Sequence[Effect] = (),
+        named: Sequence[str] = (),
+    ) -> None:
         if options:
             raise TorchweatherError(f"find_gap: options: the model of links has none; got {', '.join(options)}.")
         self.effects = list(effects)

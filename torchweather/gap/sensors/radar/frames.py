@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.gap.inference.effect_forms import searched_effects
 from torchweather.gap.sensors.radar.forms import InterferenceForm, multipath_form, volume_clutter_form, wet_rcs_form
 from torchweather.gap.sensors.radar.scene import (
     Detections,
@@ -69,19 +70,26 @@ class RadarFrames:
         study: of kind ``radar``.
         options: of ``RadarAttenuation`` (the model under test).
         effects: that the model has already.
+        named: ids of effects that are searched for although the catalogue leaves them out.
 
     Raises:
         TorchweatherError: the clear frames do not tell how much they differ.
     """
 
-    def __init__(self, study: Study, options: Mapping[str, Any] | None = None, effects: Sequence[Effect] = ()) -> None:
+    def __init__(
+        self,
+        study: Study,
+        options: Mapping[str, Any] | None = None,
+        effects: Sequence[Effect] = (),
+        named: Sequence[str] = (),
+    ) -> None:
         sensor = study.sensor_as(Radar)
         self.options, self.effects = dict(options or {}), list(effects)
         self.fit, self.holdout = (
             [one for one in split if one.weather is not None] for split in (study.fit, study.holdout)
         )
         self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
-        self.catalogue = [name for name, effect in EFFECTS.items() if name.startswith("radar.") and effect.searched]
+        self.catalogue = searched_effects("radar", named)
         self.as_record: AbstractSet[str] = {"radar.path_loss_scale"}
         self.scenes: dict[str, RadarScene] = {name: radar_scene(scene, sensor) for name, scene in study.scenes.items()}
         floor_db = float(np.mean([scene.clear.floor_db.mean() for scene in self.scenes.values()]))
