@@ -35,7 +35,7 @@ def departures(effect: type[Effect], grid: ParameterGrid) -> dict[str, list[floa
 
 
 def test_the_catalogue_is_there() -> None:
-    assert len(NAMES) == 24
+    assert len(NAMES) == 25
 
 
 @pytest.mark.parametrize("name", NAMES)

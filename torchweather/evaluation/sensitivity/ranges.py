@@ -70,7 +70,7 @@ def results(weather: Weather, sensor: Sensor, options: Mapping[str, Any] | None 
     Example:
         >>> from torchweather.atmosphere.weather import Rain
         >>> {name: round(value, 2) for name, value in results(Rain(25.0), Radar()).items()}
-        {'attenuation dB/km': 11.54, 'backscatter 1/(m sr)': 0.0}
+        {'attenuation dB/km': 11.41, 'backscatter 1/(m sr)': 0.0}
     """
     check_arguments("results(weather: Weather)", weather)
     return RESULTS[sensor.kind](weather, sensor, dict(options or {}))

@@ -181,7 +181,6 @@ HIDEABLE: Mapping[str, Hideable] = {
     "lidar.range_stretch": Hideable("fog", {"m_per_optical_depth": (0.05, 0.2)}),
     "lidar.crosstalk": Hideable("rain", {"probability": (0.01, 0.05)}),
     "lidar.particle_backscatter": Hideable("snow", {"gain_db": (-4.0, -2.0)}),
-    "lidar.near_response": Hideable("snow", {"full_m": (8.0, 25.0), "power": (1.0, 2.5)}),
     "lidar.sector_loss": Hideable(
         "rain", {"azimuth_rad": (-math.pi, math.pi), "width_rad": (0.5, 1.0), "loss_db": (3.0, 8.0)}
     ),
