@@ -106,6 +106,7 @@ def test_a_given_lamp_is_where_its_position_says_and_one_behind_is_no_error() ->
     assert float(found[1, 71, 80]) > 10 * float(found[1, 71, 150])
 
 
+@pytest.mark.filterwarnings("ignore:NightLamps. a lamp at")  # at the lens, for a closed form
 def test_what_the_own_headlamps_light_fades_on_both_ways() -> None:
     high = Lamp((0.0, 0.0, 1.5), 2000.0)  # at the camera, shining everywhere
     depth = torch.full((1, 144, 192), 20.0)
@@ -142,6 +143,7 @@ def test_flakes_near_the_car_are_white() -> None:
     assert float(gain.max()) > 0.05
 
 
+@pytest.mark.filterwarnings("ignore:NightLamps. a lamp at")  # at the lens, for a closed form
 @pytest.mark.parametrize(("far_m", "listed"), [(100.0, {}), (6.0, {"min_listed_coverage": 1e-6})])
 def test_the_mean_light_of_flakes_is_that_of_each_slice_of_air(far_m, listed) -> None:
     # Thin snow, where the order of the flakes in depth does not matter (at 1 mm/h it is 6 % of the light); nearly all
@@ -200,6 +202,22 @@ def test_a_night_frame_without_the_option_is_warned_of_and_with_it_is_not() -> N
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         tw.BayerFog(tw.Fog(100.0), CAMERA, night=True)(mosaic, depth)
+
+
+@pytest.mark.parametrize("which", ["own", "lamps"])
+def test_a_lamp_at_the_lens_is_warned_of_with_the_bound(which) -> None:
+    light, depth = frame()
+    for distance_m, near in ((0.49, True), (0.51, False)):
+        night = Night(**{"own": "none", "lamps": (), which: (Lamp((0.0, distance_m, CAMERA.height_m), 10.0),)})
+        fog = tw.BayerFog(tw.Fog(100.0), CAMERA, night=night, airlight=0.01)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            fog(light[:1], depth)
+        texts = [str(one.message) for one in said if "from the camera" in str(one.message)]
+        assert len(texts) == near
+        if near:
+            assert "is 0.49 m from the camera" in texts[0]
+            assert "at least 0.5 m" in texts[0]
 
 
 @pytest.mark.parametrize(

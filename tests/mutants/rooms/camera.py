@@ -81,6 +81,14 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "lamp_at_the_lens_without_a_warning",
+        "a lamp nearer to the camera than its light is known is warned of",
+        "torchweather.camera.night.stages",
+        "if distance_m < LEAST_DISTANCE_M:",
+        "if distance_m < 0.0:",
+        ("tests/camera/night/test_night.py::test_a_lamp_at_the_lens_is_warned_of_with_the_bound",),
+    ),
+    Mutant(
         "lamp_veil_without_onward_scattering",
         "fog widens a low beam upward, by light scattered onward",
         "torchweather.camera.night.lamp_light",

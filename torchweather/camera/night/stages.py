@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -13,7 +14,14 @@ from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, weather_fr
 from torchweather.camera.airlight import frame_mean
 from torchweather.camera.fog import FADING_COLOUR, ExtinctionAndAirlight
 from torchweather.camera.night.found_lamps import LampInView, found_lamps, lamp_in_view
-from torchweather.camera.night.lamp_light import FogOptics, LampLight, fog_optics, lamp_light, stacked
+from torchweather.camera.night.lamp_light import (
+    LEAST_DISTANCE_M,
+    FogOptics,
+    LampLight,
+    fog_optics,
+    lamp_light,
+    stacked,
+)
 from torchweather.camera.night.lamps import FIND, Night, as_night
 from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
@@ -100,6 +108,7 @@ class NightLamps(Stage):
         assert state.receiver.camera is not None
         self._warn_of_day(state)
         camera = state.receiver.camera
+        self._warn_of_near_lamps(camera.height_m)
         excess = torch.zeros_like(state.image.signal)
         depth_m = state.scene.depth_m.expand(state.batch, -1, -1, -1).clone()
         sky = None if state.scene.sky is None else state.scene.sky.expand(state.batch, -1, -1, -1).clone()
@@ -184,6 +193,20 @@ class NightLamps(Stage):
                 TorchweatherWarning,
                 stacklevel=4,
             )
+
+    def _warn_of_near_lamps(self, height_m: float) -> None:
+        """Warn of lamps nearer to the camera than the distance up to which their light grows."""
+        for lamp in (*self.night.own_lamps, *self.night.given_lamps):
+            distance_m = math.dist(lamp.position_m, (0.0, 0.0, height_m))
+            if distance_m < LEAST_DISTANCE_M:
+                warnings.warn(
+                    f"{type(self).__name__}: a lamp at position_m={lamp.position_m} is {distance_m:.2g} m from the "
+                    f"camera, which is at (0, 0, {height_m:g}). Air and particles nearer to a lamp than "
+                    f"{LEAST_DISTANCE_M:g} m are lit as from {LEAST_DISTANCE_M:g} m, so those in front of the lens "
+                    f"are too dark. Place lamps at least {LEAST_DISTANCE_M:g} m from the camera.",
+                    TorchweatherWarning,
+                    stacklevel=4,
+                )
 
 
 def _on_device(light: LampLight, like: Tensor) -> LampLight:
