@@ -208,3 +208,60 @@ def lidar_orders(
         turn = angles(random.random(len(place))), 2.0 * math.pi * random.random(len(place))
         direction = turned(direction, *turn)
     return found
+
+
+FOG_LIGHT, WALL_STRAIGHT, WALL_BY_FOG = 0, 1, 2
+
+
+def lidar_wall_echo(
+    wall_m: float,
+    reflectivity: float,
+    half_angle_rad: float,
+    aperture_m: float,
+    extinction_per_m: float,
+    angles: Callable[[Array], Array],
+    per_sr: Callable[[Array], Array],
+    photons: int,
+    seed: int,
+) -> tuple[Array, Array, Array]:
+    """Light of a LiDAR's pulse from a Lambertian wall in fog and from the fog: kind, delay in metres, power.
+
+    Kinds are ``FOG_LIGHT``, scattered by fog twice or more and never at the wall; ``WALL_STRAIGHT``; and
+    ``WALL_BY_FOG``, from the wall and scattered on its way. The delay is half of the way beyond that straight to the
+    place (of fog) or the wall and back. Photons and view are those of `lidar_orders`.
+    """
+    random = np.random.default_rng(seed)
+    off, around = np.sqrt(random.random(photons)) * half_angle_rad, 2.0 * math.pi * random.random(photons)
+    direction = np.stack([off * np.cos(around), off * np.sin(around), np.sqrt(1.0 - off**2)], 1)
+    place, way, weight = np.zeros((photons, 3)), np.zeros(photons), np.full(photons, 1.0 / photons)
+    at_wall, orders, found = np.zeros(photons, bool), np.zeros(photons, int), []
+    while len(place):
+        step = random.exponential(size=len(place)) / extinction_per_m
+        toward = direction[:, 2] > 0
+        left = np.where(toward, (wall_m - place[:, 2]) / np.where(toward, direction[:, 2], 1.0), np.inf)
+        meets = step >= left
+        step = np.where(meets, left, step)
+        place, way = place + direction * step[:, None], way + step
+        back_m = np.linalg.norm(place, axis=1)
+        seen = (place[:, 2] > 0) & (np.hypot(*place[:, :2].T) < half_angle_rad * place[:, 2] + 0.5 * aperture_m)
+        lambert = reflectivity / math.pi * place[:, 2] / back_m
+        kernel = np.where(meets, lambert, per_sr(-(direction * place).sum(1) / back_m))
+        power = weight * kernel * np.exp(-extinction_per_m * back_m) / back_m**2
+        scattered = at_wall | (orders > 0)  # by the wall or by fog, before this place
+        by_fog = np.where(at_wall, WALL_BY_FOG, FOG_LIGHT)
+        kind = np.where(meets, np.where(scattered, WALL_BY_FOG, WALL_STRAIGHT), by_fog)
+        delay_m = 0.5 * (way + back_m) - np.where(meets | at_wall, wall_m, back_m)
+        counts = seen & (meets | scattered)
+        found.append(np.stack([kind, delay_m, power])[:, counts])
+        # A wall sends on in all directions, a droplet by its phase function.
+        up, around = np.sqrt(random.random(len(place))), 2.0 * math.pi * random.random(len(place))
+        flat = np.sqrt(1.0 - up**2)
+        lambertian = np.stack([flat * np.cos(around), flat * np.sin(around), -up], 1)
+        turn = angles(random.random(len(place))), 2.0 * math.pi * random.random(len(place))
+        direction = np.where(meets[:, None], lambertian, turned(direction, *turn))
+        weight, at_wall, orders = np.where(meets, weight * reflectivity, weight), at_wall | meets, orders + ~meets
+        inside = (way < 2.0 * wall_m + 12.0) & (place[:, 2] > 0) & (np.abs(place[:, :2]).max(1) < 2.0 * wall_m)
+        place, direction, way, weight = place[inside], direction[inside], way[inside], weight[inside]
+        at_wall, orders = at_wall[inside], orders[inside]
+    kinds, delays_m, powers = np.concatenate(found, 1)
+    return kinds, delays_m, powers
