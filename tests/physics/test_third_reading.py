@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ ROOT = Path(__file__).parents[2]
 
 def share_above(transform: LidarWeather, kind: str, signal: float, range_m: float) -> float:
     """Share of beams with a reading above a signal in front of a range."""
-    returns = transform.chain.stages["particle_returns"]
+    returns: Any = transform.chain.stages["particle_returns"]
     number = returns.kinds[kind].expected_above(
         returns.beam, torch.tensor([[signal]]), transform.extinction_per_m, torch.tensor([[range_m]])
     )
