@@ -88,7 +88,8 @@ def weather_attenuation_db_per_km(
             weather.distribution(value), frequency_ghz, temperature_c=weather.temperature_c, **melted
         )
     if isinstance(weather, Snow):
-        return snow_attenuation_db_per_km(value, frequency_ghz, model=chosen, melt_fraction=weather.melt_fraction)
+        typical = snow_attenuation_db_per_km(value, frequency_ghz, model=chosen, melt_fraction=weather.melt_fraction)
+        return weather.visibility_spread * typical  # as many flakes more
     return rain_attenuation_db_per_km(
         value,
         frequency_ghz,

@@ -9,6 +9,14 @@ WINDOW_FILM = "torchweather.physics.window_film"
 
 MUTANTS = (
     Mutant(
+        "more_flakes_as_fast_as_before",
+        "snow of less visibility at one rate falls as much slower as it is denser",
+        "torchweather.atmosphere.weather",
+        "speed if self.visibility_spread == 1.0 else speed / self.visibility_spread",
+        "speed",
+        ("tests/atmosphere/test_visibility_spread.py::test_as_much_water_reaches_the_ground",),
+    ),
+    Mutant(
         "road_slope_as_a_ratio",
         "the factor of the depth on the road goes with the slope in per cent",
         "torchweather.physics.road_water",
