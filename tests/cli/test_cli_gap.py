@@ -145,6 +145,13 @@ def test_mistakes_are_one_line(arguments: list[str], said: str, tmp_path: Path, 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_parts_of_no_picture_are_refused(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+    arguments = ["gap", str(folder), "--out", str(tmp_path / "out"), "--ignore-parts", "s0:0,32", "--quiet"]
+    assert main(arguments) == 2
+    assert "ignore_parts are parts of a camera's picture" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_effect_that_does_not_exist_is_refused(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     arguments = ["gap", str(folder), "--out", str(tmp_path / "out"), "--effects", "lidar.window_los", "--quiet"]
     assert main(arguments) == 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -140,8 +141,15 @@ def test_a_search_of_some_effects_says_so_and_excludes_no_other(study: Study, tm
     assert "threshold shift fits worse" in words
 
 
+def test_ignored_parts_are_listed(study: Study, tmp_path: Path) -> None:
+    found = report("named", study)
+    write_gap(tmp_path / "out", study, replace(found, answer={**found.answer, "ignored_parts": ["s0:0,32"]}))
+    assert "were ignored: s0:0,32." in words_of(tmp_path / "out")
+
+
 def test_the_whole_catalogue_needs_no_word(pages: dict[str, Path]) -> None:
     assert "searched for" not in words_of(pages["named"])
+    assert "were ignored" not in words_of(pages["named"])
 
 
 def test_the_ranking_lists_candidates_without_idle_parameters(pages: dict[str, Path]) -> None:

@@ -40,6 +40,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the simulation; default 0. Of all that is drawn for the demo; default another each time",
     )
     parser.add_argument(
+        "--ignore-parts",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="SCENE:ROW,COLUMN",
+        help='parts of a camera\'s picture that are no change of the scene, as the error "scene changed" names them',
+    )
+    parser.add_argument(
         "--allow-none", action="store_true", help="of the demo: hide no effect as often as any one of them"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
@@ -62,7 +70,11 @@ def run(args: argparse.Namespace) -> int:
         raise InputValueError("gap: --effects must name an effect or more, such as lidar.window_loss; got none.")
     study = Study.read(args.study)
     report = find.find_gap(
-        study, effects=effects, seed=args.seed or 0, progress=lambda text: note(text, quiet=args.quiet)
+        study,
+        effects=effects,
+        seed=args.seed or 0,
+        ignore_parts=args.ignore_parts,
+        progress=lambda text: note(text, quiet=args.quiet),
     )
     answer = write_gap(args.out, study, report, effects=effects)
     if args.json:

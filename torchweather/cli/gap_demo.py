@@ -32,6 +32,8 @@ def run(args: argparse.Namespace) -> int:
 
     if args.effects is not None:
         raise InputValueError("gap: --effects belongs to a study; the demo searches the whole catalogue.")
+    if args.ignore_parts:
+        raise InputValueError("gap: --ignore-parts belongs to a study; no scene of the demo changes.")
     seed = secrets.randbelow(SEEDS) if args.seed is None else args.seed
     hidden = drawn_study(seed, allow_none=args.allow_none)
     hidden.study.write(args.out / STUDY)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from torchweather.core.errors import TorchweatherError
@@ -13,6 +14,7 @@ from torchweather.gap.gap_report import GapReport, gap_report
 from torchweather.gap.inference.forward_selection import find_gap_with
 from torchweather.gap.inference.simulated_distribution import FrameModel
 from torchweather.gap.sensors.camera.frames import CameraFrames
+from torchweather.gap.sensors.camera.scene_change import with_parts_ignored
 from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.sensors.link.frames import LinkFrames
 from torchweather.gap.sensors.radar.frames import RadarFrames
@@ -33,6 +35,7 @@ def find_gap(
     model_effects: Sequence[Effect] = (),
     effects: Sequence[str] | None = None,
     seed: int = 0,
+    ignore_parts: Sequence[str] = (),
     progress: Callable[[str], None] | None = None,
     say: Callable[[str], None] | None = None,
 ) -> GapReport:
@@ -47,6 +50,9 @@ def find_gap(
         effects: ids that may be named, such as ``lidar.window_loss``; ``None`` is the whole catalogue of the sensor.
             Effects of lying snow, spray and drops that refract (``searched`` is False) are tried only where named.
         seed: of the simulation; the same seed gives the same answer but for ``seconds``.
+        ignore_parts: parts of a camera's picture that are no change of the scene, ``SCENE:ROW,COLUMN`` as the error
+            "scene changed" names them. Only that check leaves them out; the search counts them, and
+            ``to_dict()["ignored_parts"]`` has them.
         progress: called with a line of text at every step.
         say: the old name of ``progress``; goes with the next release.
 
@@ -75,6 +81,7 @@ def find_gap(
         raise TorchweatherError(f"find_gap: not enough data to decide: {broken[0].what} {broken[0].advice}")
     # Sums must not depend on the number of threads.
     with one_thread_an_operation():
-        model = MODELS[study.kind](study, options, model_effects, effects or ())
+        model = MODELS[study.kind](with_parts_ignored(study, ignore_parts), options, model_effects, effects or ())
         result = find_gap_with(model, effects, seed, progress or (lambda text: None))
-    return gap_report(result, study.sha256, seed)
+    report = gap_report(result, study.sha256, seed)
+    return replace(report, answer={**report.answer, "ignored_parts": list(ignore_parts)}) if ignore_parts else report

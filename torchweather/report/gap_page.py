@@ -77,7 +77,7 @@ def gap_page(study: Study, report: GapReport, *, effects: Sequence[str] | None =
     answer, findings = report.to_dict(), diagnose(study)
     searched = [name for name in answer["catalogue"] if effects is None or name in effects]
     nothing = answer["verdict"] == "none"
-    sections = [Section("Where", [*_where(study, report, answer), *_confined(searched, effects)])]
+    sections = [Section("Where", [*_where(study, report, answer), *_confined(searched, effects), *_ignored(answer)])]
     if not nothing:
         sections += [what_section(answer, searched, study), ranking_section(answer, report.responses)]
     if report.residuals is not None:
@@ -166,6 +166,15 @@ def _confined(searched: Sequence[str], effects: Sequence[str] | None) -> list[pa
     these = "these effects were" if len(searched) > 1 else "one effect was"
     names = ", ".join(effect_name(name) for name in searched)
     text = f"Only {these} searched for: {names}. Others of the catalogue may explain as much."
+    return [parts.Alert(text)]
+
+
+def _ignored(answer: Mapping[str, Any]) -> list[parts.Part]:
+    """A warning where parts of the picture were said to be no change of the scene."""
+    names = answer.get("ignored_parts", [])
+    if not names:
+        return []
+    text = f"Parts of the picture that may have changed were ignored: {', '.join(names)}. The search counts them."
     return [parts.Alert(text)]
 
 

@@ -11,6 +11,14 @@ CAMERA_FRAMES = "tests/gap/sensors/camera/test_camera_frames.py"
 
 MUTANTS = (
     Mutant(
+        "ignored_parts_are_one_block",
+        "a part that is ignored is the whole window of the check",
+        "torchweather.gap.sensors.camera.scene_change",
+        "masks[scene_id][row : row + SIDE_PX, column : column + SIDE_PX] = 1",
+        "masks[scene_id][row : row + 1, column + SIDE_PX :] = 1",
+        ("tests/gap/sensors/camera/test_camera_frames.py::test_the_names_in_the_error_answer_it",),
+    ),
+    Mutant(
         "mask_hides_nothing",
         "what a scene's mask leaves out is no change of the scene",
         "torchweather.gap.sensors.camera.scene_change",

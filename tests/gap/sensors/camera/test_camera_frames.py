@@ -27,6 +27,7 @@ from torchweather.gap.sensors.camera.scene import (
     cell_colours,
     in_blocks,
 )
+from torchweather.gap.sensors.camera.scene_change import with_parts_ignored
 from torchweather.gap.sensors.camera.sums import MAP_BLOCKS
 from torchweather.gap.sensors.camera.tails import ASIDE, TAILS_SD
 from torchweather.gap.statistics.frame_statistics import Pool, Reduced
@@ -439,7 +440,9 @@ def test_drops_on_the_window_stay_over_the_frames_of_a_condition(model: CameraFr
 
 
 def test_nothing_is_found_where_nothing_is_missing(study: Study) -> None:
-    assert find_gap(study).to_dict()["verdict"] == "none"
+    answer = find_gap(study, ignore_parts=["s0:0,32"]).to_dict()
+    assert answer["verdict"] == "none"
+    assert answer["ignored_parts"] == ["s0:0,32"]
 
 
 @pytest.mark.long  # beside the study of tests/benchmarks/test_reduced_camera_bench.py, which names an effect too
@@ -523,6 +526,38 @@ def test_the_parts_that_changed_are_named_and_a_mask_answers_them() -> None:
     CameraFrames(moved_study((slice(None), slice(0, WIDTH // 2 + 8))))
     with pytest.raises(TorchweatherError, match="scene changed"):
         CameraFrames(moved_study((slice(None), slice(WIDTH // 2 + 8, WIDTH))))  # what stands still
+
+
+def test_the_names_in_the_error_answer_it() -> None:
+    with pytest.raises(TorchweatherError, match="scene changed") as found:
+        CameraFrames(moved_study(None))
+    offered = re.search(r"--ignore-parts ([^ ]+:\d+,\d+(?: [^ ]+:\d+,\d+)*), or", str(found.value))
+    assert offered is not None
+    names = offered[1].split(" ")
+    changed = moved_study((slice(0, 1), slice(0, 1)))
+    ignored = with_parts_ignored(changed, names)
+    (mask,) = (scene.geometry["mask"] for scene in ignored.scenes.values())
+    assert mask.sum() == 32 * 32 * len(names) + (0 if f"{next(iter(changed.scenes))}:0,0" in names else 1)
+    CameraFrames(with_parts_ignored(moved_study(None), names))
+    with pytest.raises(TorchweatherError, match="scene changed"):
+        CameraFrames(with_parts_ignored(moved_study(None), names[:1]))
+    (before,) = (scene.geometry["mask"] for scene in changed.scenes.values())
+    assert before.sum() == 1  # the study that was given stays as it was
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        (["s0"], "SCENE:ROW,COLUMN"),
+        (["elsewhere:0,0"], "elsewhere"),
+        (["{scene}:0,8"], "multiples of 32 px"),
+        (["{scene}:0,9600"], "multiples of 32 px within the picture"),
+    ],
+)
+def test_other_parts_are_refused(names: list[str], text: str) -> None:
+    study = moved_study(None)
+    with pytest.raises(TorchweatherError, match=text):
+        with_parts_ignored(study, [name.format(scene=next(iter(study.scenes))) for name in names])
 
 
 def test_effects_of_the_catalogue_are_no_change_of_the_scene() -> None:

@@ -6,15 +6,19 @@ elsewhere in each condition, streaks in each frame; fog and blur take edges away
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
+from torchweather.gap.study.study import Study
 
-__all__ = ["refuse_changed"]
+__all__ = ["refuse_changed", "with_parts_ignored"]
 
 WINDOW = 8  # blocks that a part of the picture is high and wide
 FEWEST_WINDOWS = 3
@@ -23,7 +27,10 @@ TOGETHER = 0.7  # correlation of what is not explained in two conditions
 STRONG = 0.03  # root mean square of the unexplained logarithm of neighbouring blocks' ratio
 MOSTLY = 0.5
 BLOCK_PX = 4
+SIDE_PX = BLOCK_PX * WINDOW  # of a part
 MOST_NAMED = 6
+MOST_IGNORED = 24  # parts that the error offers to ignore; where more changed, the camera may have moved
+PART = re.compile(r"(?P<scene>.+):(?P<row>\d{1,6}),(?P<column>\d{1,6})")
 
 
 def refuse_changed(
@@ -69,15 +76,68 @@ def refuse_changed(
         changed |= standing & strong & (together > TOGETHER) & (torch.minimum(share[one], share[other]) > UNEXPLAINED)
     number = int(changed.sum())
     if number >= FEWEST_WINDOWS:
-        side = BLOCK_PX * WINDOW
-        parts = [f"({side * row}, {side * column})" for row, column in changed.nonzero()[:MOST_NAMED].tolist()]
+        places = [(SIDE_PX * row, SIDE_PX * column) for row, column in changed.nonzero().tolist()]
+        parts = [f"({row}, {column})" for row, column in places[:MOST_NAMED]]
         more = "" if number <= MOST_NAMED else f" and {number - MOST_NAMED} more"
         raise TorchweatherError(
             f"find_gap: scene changed: in weather {number} of {changed.numel()} parts of the picture of scene {scene} "
-            f"show edges that its clear frames do not have, the same in several conditions: {side} x {side} px from "
-            f"(row, column) {', '.join(parts)}{more}. Something moved, or the camera did. Take clear frames of the "
-            "scene as it is in weather, leave these conditions out, or put what moved in the scene's mask."
+            "show edges that its clear frames do not have, the same in several conditions: "
+            f"{SIDE_PX} x {SIDE_PX} px from (row, column) {', '.join(parts)}{more}. Something moved, or the camera "
+            "did. Take clear frames of the scene as it is in weather, leave these conditions out, or put what moved in "
+            f"the scene's mask.{_offer(scene, places)}"
         )
+
+
+def with_parts_ignored(study: Study, names: Sequence[str]) -> Study:
+    """The study with parts of the picture added to the masks of its scenes, so that they are no change of a scene.
+
+    Args:
+        study: of a camera.
+        names: ``SCENE:ROW,COLUMN`` each, the first pixel of a part of 32 x 32 px, as the error of `refuse_changed` has
+            them.
+
+    Raises:
+        InputValueError: a study of another sensor, an unknown scene, or no part of its picture.
+    """
+    if not names:
+        return study
+    if study.kind != "camera":
+        raise InputValueError(
+            f"find_gap: ignore_parts are parts of a camera's picture; got a study of kind {study.kind}. Leave it out."
+        )
+    masks = {}
+    for name in names:
+        found = PART.fullmatch(name.strip())
+        if found is None:
+            raise InputValueError(
+                f"find_gap: ignore_parts must be SCENE:ROW,COLUMN, such as s0:0,32; got {name!r}. "
+                'Take the names from the error "scene changed".'
+            )
+        scene_id, row, column = found["scene"], int(found["row"]), int(found["column"])
+        check_one_of("scene of ignore_parts", scene_id, study.scenes, owner="find_gap")
+        scene = study.scenes[scene_id]
+        height, width = np.shape(scene.clear[0]["bayer"])[-2:]
+        if row % SIDE_PX or column % SIDE_PX or row + SIDE_PX > height or column + SIDE_PX > width:
+            raise InputValueError(
+                f"find_gap: ignore_parts: expected a row and a column that are multiples of {SIDE_PX} px within the "
+                f'picture of {height} x {width} px; got {name}. Take the names from the error "scene changed".'
+            )
+        if scene_id not in masks:
+            masks[scene_id] = np.array(scene.geometry.get("mask", np.zeros((height, width))) != 0, dtype=np.uint8)
+        masks[scene_id][row : row + SIDE_PX, column : column + SIDE_PX] = 1
+    scenes = {
+        name: replace(scene, geometry={**scene.geometry, "mask": masks[name]}) if name in masks else scene
+        for name, scene in study.scenes.items()
+    }
+    return replace(study, scenes=scenes)
+
+
+def _offer(scene: str, places: Sequence[tuple[int, int]]) -> str:
+    """How to go on in spite of few parts."""
+    if len(places) > MOST_IGNORED:
+        return ""
+    names = " ".join(f"{scene}:{row},{column}" for row, column in places)
+    return f" To search all the same, ignore these parts: --ignore-parts {names}, or find_gap(ignore_parts=...)."
 
 
 def _blocks(left_out: Tensor, names: Sequence[str], measured: Mapping[str, Tensor]) -> Tensor:
