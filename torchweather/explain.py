@@ -233,7 +233,7 @@ def _part(part: Weather, distribution: SizeDistribution) -> dict[str, Any]:
     }
     if isinstance(part, Snow):
         numbers["melt_fraction"] = part.melt_fraction
-    if not isinstance(part, Fog):
+    if isinstance(part, (Rain, Snow)):
         numbers["rate_carried_mm_per_h"] = float(precipitation_rate_mm_per_h(distribution, part.fall_speed_m_per_s))
     return numbers
 

@@ -79,6 +79,7 @@ def test_by_default_nothing_changes() -> None:
     first, second = (tw.LidarSnow(one, LIDAR).run(points, seed=2).points for one in (tw.Snow(2.0), snow(1.0)))
     assert torch.equal(first, second)
     assert tw.Snow(2.0) == snow(1.0)
+    assert "visibility_spread" not in tw.Snow(2.0).to_dict()  # hashes of studies and records stay
 
 
 def test_it_is_written_read_and_drawn() -> None:

@@ -148,7 +148,7 @@ def test_mistakes_are_one_line(arguments: list[str], said: str, tmp_path: Path, 
 def test_parts_of_no_picture_are_refused(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     arguments = ["gap", str(folder), "--out", str(tmp_path / "out"), "--ignore-parts", "s0:0,32", "--quiet"]
     assert main(arguments) == 2
-    assert "ignore_parts are parts of a camera's picture" in capsys.readouterr().err
+    assert "expected a Camera; got kind" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -401,6 +401,13 @@ class Snow(_Precipitation):
     flake_reflectivity: float | None = None
     visibility_spread: float = 1.0
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values that ``weather_from_dict`` takes; a spread of 1 is left out, as files had it before."""
+        values = super().to_dict()
+        if values["visibility_spread"] == 1.0:
+            del values["visibility_spread"]
+        return values
+
     def distribution(self, rate_mm_per_h: Intensity | None = None) -> SizeDistribution:
         """Size distribution in the air at a rate (the weather's own by default), per diameter of ``particle``."""
         found = super().distribution(rate_mm_per_h)

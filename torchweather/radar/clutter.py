@@ -101,14 +101,10 @@ def _table(weather: Rain | Snow, frequency_ghz: float) -> InterpolationTable:
     """Reflectivity, mean and standard deviation of the fall speed over the rate."""
 
     def of_rate(rate: Tensor) -> Tensor:
-        snow = isinstance(weather, Snow)
+        melted, slower = (weather.melt_fraction, weather.visibility_spread) if isinstance(weather, Snow) else (0.0, 1.0)
         reflectivity, mean, std = reflectivity_weighted_fall_speed(
-            weather.distribution(rate),
-            frequency_ghz,
-            temperature_c=weather.temperature_c,
-            melt_fraction=weather.melt_fraction if snow else 0.0,
+            weather.distribution(rate), frequency_ghz, temperature_c=weather.temperature_c, melt_fraction=melted
         )
-        slower = weather.visibility_spread if snow else 1.0
         return torch.stack((reflectivity, mean / slower, std / slower), -1)
 
     return InterpolationTable(of_rate, RATE_LOW_MM_PER_H, RATE_HIGH_MM_PER_H, RATE_NODES, zero_at_zero=True)

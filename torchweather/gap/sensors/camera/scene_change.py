@@ -13,8 +13,10 @@ from itertools import combinations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.camera.sensor import Camera
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
 from torchweather.gap.study.study import Study
 
@@ -97,15 +99,13 @@ def with_parts_ignored(study: Study, names: Sequence[str]) -> Study:
             them.
 
     Raises:
-        InputValueError: a study of another sensor, an unknown scene, or no part of its picture.
+        InputTypeError: a study of another sensor.
+        InputValueError: an unknown scene, or no part of its picture.
     """
     if not names:
         return study
-    if study.kind != "camera":
-        raise InputValueError(
-            f"find_gap: ignore_parts are parts of a camera's picture; got a study of kind {study.kind}. Leave it out."
-        )
-    masks = {}
+    study.sensor_as(Camera)
+    masks: dict[str, NDArray[np.uint8]] = {}
     for name in names:
         found = PART.fullmatch(name.strip())
         if found is None:
