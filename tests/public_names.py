@@ -9,6 +9,7 @@ import importlib
 import re
 import textwrap
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 
 PAGE = Path(__file__).parents[1] / "docs" / "public-names.md"
@@ -66,20 +67,32 @@ def names_of(module: str) -> list[str]:
 
 
 def documented_members() -> Iterator[tuple[str, str]]:
-    """Docstrings of public functions and classes, and of the public members of these, each under its first name."""
+    """Docstrings of public modules, functions and classes, and of the public members of these, each once.
+
+    Members that a class inherits inside the package count as its own. A value counts by the class that it is of.
+    """
     seen = set()
     for module in MODULES:
+        yield module, importlib.import_module(module).__doc__ or ""
         for name in names_of(module):
-            found = getattr(importlib.import_module(module), name)
-            if not callable(found) or id(found) in seen:
+            named = getattr(importlib.import_module(module), name)
+            found = named if callable(named) else type(named)
+            if not found.__module__.startswith("torchweather"):
                 continue
-            seen.add(id(found))
-            members = vars(found).items() if isinstance(found, type) else []
-            for inside, each in [("", found), *((f".{one}", each) for one, each in members if not one.startswith("_"))]:
-                docstring = getattr(getattr(each, "__func__", each), "__doc__", None)
-                is_member = callable(each) or isinstance(each, (property, classmethod, staticmethod))
-                if docstring and is_member:
-                    yield f"{module}.{name}{inside}", docstring
+            yield from _once(f"{module}.{name}", found, seen)
+            for base in found.__mro__ if isinstance(found, type) else ():
+                if base.__module__.startswith("torchweather"):
+                    for inside, member in vars(base).items():
+                        if not inside.startswith("_") or inside == "__call__":
+                            yield from _once(f"{module}.{name}.{inside}", getattr(member, "__func__", member), seen)
+
+
+def _once(name: str, found: object, seen: set[int]) -> Iterator[tuple[str, str]]:
+    """Docstring of a function, class or property that was not met before."""
+    if id(found) not in seen and (callable(found) or isinstance(found, (property, cached_property))):
+        seen.add(id(found))
+        if found.__doc__:
+            yield name, found.__doc__
 
 
 def written() -> dict[str, list[str]]:

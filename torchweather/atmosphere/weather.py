@@ -307,7 +307,7 @@ class _Precipitation(Weather):
 
     @property
     def particle(self) -> str:
-        """What the size distribution counts: ``drop``, ``melted-flake`` (melted diameter) or ``flake`` (outline)."""
+        """Particle of the size distribution: ``drop``, ``melted-flake`` (melted diameter) or ``flake`` (outline)."""
         found = self.size_distribution
         return self.families[found](1.0).particle if isinstance(found, str) else found.particle
 

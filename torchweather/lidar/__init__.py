@@ -1,4 +1,4 @@
-"""What a LiDAR's sweep says about its sensor and its scene: scan pattern, ground, ends of beams without return."""
+"""Sensor and scene from a LiDAR's sweep: scan pattern, ground, ends of beams without return."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scores of images and point clouds against a reference, and what they say about weather."""
+"""Scores of images and point clouds against a reference, and their trends in weather."""
 
 from torchweather.metrics.bayer import BayerScore, bayer_scores
 from torchweather.metrics.box_overlap import bev_iou, box_iou

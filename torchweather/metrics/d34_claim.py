@@ -17,7 +17,7 @@ HIGHLY = 0.7
 
 @dataclass(frozen=True)
 class Claim:
-    """Which metrics are said to correlate highly with the performance of detectors."""
+    """A published claim: the metrics that correlate highly with the performance of detectors, and those that do not."""
 
     place: str
     text: str

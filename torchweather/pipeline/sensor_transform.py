@@ -141,7 +141,7 @@ class WeatherTransform(AtLeastSingle):
         beside: Mapping[str, Any],
         dimensions: int,
     ) -> R:
-        """What a call gives for a batch each of whose samples has nuisances of its own.
+        """Result of a call for a batch whose samples each have nuisances of their own.
 
         Args:
             call: ``forward`` or ``run`` of this transform, or of one around it.
@@ -161,7 +161,7 @@ class WeatherTransform(AtLeastSingle):
     def must_draw(
         self, noise: Mapping[str, Tensor] | None, seed: int | Tensor | None, generator: torch.Generator | None
     ) -> bool:
-        """Whether a call must draw by `at_call` first."""
+        """True if a call must draw by `at_call` first."""
         self.refuse_waiting()
         if noise is None:
             return seed is not None or generator is not None or self.is_random

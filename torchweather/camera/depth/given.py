@@ -125,7 +125,7 @@ class DepthFromCallable(DepthSource):
         dtype: torch.dtype = torch.float32,
         image: Tensor | None = None,
     ) -> Tensor:
-        """What the function gives, checked."""
+        """Depth that the function returns, checked."""
         if image is None:
             raise InputValueError("DepthFromCallable: the image is needed; call the source with image=...")
         depth = torch.as_tensor(self.function(image))

@@ -46,11 +46,11 @@ class Appending(Effect):
         return self.own_variates() if self.appends else ()
 
     def lists(self) -> bool:
-        """Whether its values list anything."""
+        """True if its values add rows to the list."""
         return not bool(self.at_identity.all())
 
     def own_variates(self) -> tuple[Variate, ...]:
-        """What the effect needs where it acts."""
+        """Random numbers that the effect needs where it acts."""
         raise NotImplementedError
 
     def forward(self, state: RadarState, noise: Mapping[str, Tensor]) -> RadarState:

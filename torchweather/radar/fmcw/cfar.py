@@ -133,7 +133,7 @@ class Cfar:
         raise NotImplementedError
 
     def detect_at(self, power: Tensor, rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
-        """Which of some cells are detections, and the noise that is estimated around those.
+        """Detections among some cells, and the noise that is estimated around those.
 
         Args:
             power: linear power of one map, ``(N_doppler, N_range)``.

@@ -154,7 +154,7 @@ class MapAxes:
 
     @cached_property
     def full_turn(self) -> bool:
-        """Whether the azimuths go around: such a radar turns its beam, others look ahead."""
+        """True if the azimuths go around: such a radar turns its beam, others look ahead."""
         if self.azimuth_rad is None or len(self.azimuth_rad) < 8:
             return False
         covered = (len(self.azimuth_rad) + TURN_SLACK) * self.azimuth_bin_rad
