@@ -18,7 +18,7 @@ from tests.test_docs import blocks
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "other-libraries.md"
 NEEDS = re.compile(r"^<!-- needs: (\w+) -->\n\n```py$", re.MULTILINE)
 # These warn on import, or of their own settings.
-WARN = ("lightning", "tensorboard", "albumentations", "datasets", "rerun")
+WARN = ("lightning", "tensorboard", "albumentations", "datasets", "rerun", "wandb")
 IN_CI = ("webdataset", "hydra")
 
 
@@ -56,4 +56,4 @@ def test_the_table_says_what_runs_in_ci() -> None:
     assert set(IN_CI) <= set(needed())
     rows = [line for line in text.splitlines() if line.startswith("|")]
     assert any("webdataset" in row and "Hydra" in row and "| in CI |" in row for row in rows)
-    assert len(needed()) == 7
+    assert len(needed()) == 8
