@@ -33,7 +33,7 @@ Sample = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Draw:
-    """Draw of a sample: all that is needed to give it the same weather again.
+    """Draw of a sample, by which it can be given the same weather again.
 
     Args:
         seed: from which the particles of every sensor follow, 63 bits.

@@ -1,7 +1,7 @@
 """Scatter of a condition's vector in three parts: its own frames', the simulated sample's, the clear frames'.
 
 Simulated frames start in turn from the K clear frames of their scene. What differs between frames of one clear frame is
-the weather's; what differs between clear frames is the sensor's noise, of which K frames are all that is known. A
+the weather's; what differs between clear frames is the sensor's noise, which only K frames show. A
 measured condition has n fresh frames of both:
 
     variance of (measured - simulated mean) = (W + B) / n + W / N + B / K
