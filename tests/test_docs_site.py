@@ -35,6 +35,11 @@ class Generated:
         return uri, content
 
 
+def converted(formula: str, display: str) -> str:
+    """Stand-in for latex2mathml, which leaves a command that it does not have as it is, too."""
+    return f'<math display="{display}">{formula.replace("<", "&lt;").replace(chr(92) + "pi", "&#x003C0;")}</math>'
+
+
 @pytest.fixture
 def hook(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> ModuleType:
     """A hook of the site as a module, without mkdocs, which the tests' environment lacks."""
@@ -44,6 +49,8 @@ def hook(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Mod
     stand_ins["mkdocs.config.defaults"].MkDocsConfig = object  # type: ignore[attr-defined]
     stand_ins["mkdocs.structure.files"].File = Generated  # type: ignore[attr-defined]
     stand_ins["mkdocs.structure.files"].Files = list  # type: ignore[attr-defined]
+    stand_ins |= {name: types.ModuleType(name) for name in ("latex2mathml", "latex2mathml.converter")}
+    stand_ins["latex2mathml.converter"].convert = converted  # type: ignore[attr-defined]
     for name, module in stand_ins.items():
         monkeypatch.setitem(sys.modules, name, module)
     spec = importlib.util.spec_from_file_location(request.param, SITE / f"{request.param}.py")
@@ -101,3 +108,31 @@ def test_the_reference_lists_every_argument_of_every_command(hook: ModuleType) -
         for action in parser._actions:
             if action.help is not argparse.SUPPRESS and not isinstance(action, argparse._HelpAction):
                 assert all(f"`{option}" in page for option in action.option_strings)
+
+
+@pytest.mark.parametrize("hook", ["formulas"], indirect=True)
+def test_formulas_become_mathml_and_other_code_stays(hook: ModuleType) -> None:
+    page = """A share $`a < \\pi`$ of `$x$`.
+
+- In a list:
+  ```math
+  b =
+    \\pi
+  ```
+
+```sh
+echo $`date`$
+```
+"""
+    found = hook.on_page_markdown(page, page=None)
+    assert (
+        'A share <span><math alttext="a &lt; \\pi" display="inline">a &lt; &#x003C0;</math></span> of `$x$`.' in found
+    )
+    assert '\n  <div class="formula"><math alttext="b = \\pi" display="block">b = &#x003C0;</math></div>\n' in found
+    assert "```sh\necho $`date`$\n```" in found
+
+
+@pytest.mark.parametrize("hook", ["formulas"], indirect=True)
+def test_a_command_that_is_not_converted_stops_the_build(hook: ModuleType) -> None:
+    with pytest.raises(ValueError, match=r"'\\\\foo'"):
+        hook.on_page_markdown("$`\\foo + 1`$", page=None)
