@@ -19,6 +19,9 @@ FORMULA = re.compile(
     r"|\$`(?P<inline>[^`]+)`\$",
     re.MULTILINE | re.DOTALL,
 )
+NAMED = re.compile(
+    r"(?<!<msup>)(?<!<msub>)(<mi>(?:ln|log|sin|cos|tan|exp|Re)</mi>)(?!<mo|</)"
+)  # a function without brackets
 UNKNOWN = re.compile(r"(?:\\|&#x0005C;)\w+|&#x00026;|<m[io]>&amp;")
 
 
@@ -43,4 +46,5 @@ def mathml(formula: str, display: str) -> str:
     unknown = UNKNOWN.search(found)
     if unknown is not None:
         raise PluginError(f"the formula {one_line!r} has {unknown[0]!r}, which latex2mathml does not convert")
+    found = NAMED.sub(r'\1<mspace width="0.1667em" />', found)
     return found.replace("<math ", f'<math alttext="{html.escape(one_line)}" ', 1).replace("\n", " ")
