@@ -17,7 +17,7 @@ from torchweather.stages import EFFECTS
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "images" / "gallery"
-MOST_BYTES = 2_500_000  # of all pictures
+MOST_BYTES = 3_000_000  # of all pictures
 TABLE: dict[str, Any] = json.loads((FOLDER / "gallery.json").read_text(encoding="utf-8"))
 SENSORS = ("camera", "lidar", "radar")
 

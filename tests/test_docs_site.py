@@ -53,6 +53,7 @@ def hook(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Mod
     stand_ins["latex2mathml.converter"].convert = converted  # type: ignore[attr-defined]
     for name, module in stand_ins.items():
         monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.syspath_prepend(SITE)
     spec = importlib.util.spec_from_file_location(request.param, SITE / f"{request.param}.py")
     assert spec is not None
     assert spec.loader is not None
@@ -97,6 +98,9 @@ def test_every_page_states_the_version(hook: ModuleType) -> None:
 def test_the_reference_lists_every_recipe(hook: ModuleType) -> None:
     page = written_by(hook)["reference/recipes.md"]
     assert all(f"| `{recipe.name}` |" in page for recipe in list_recipes())
+    shown = [recipe.name.replace("/", "-") for recipe in list_recipes(kind="transform")]
+    assert all(f"images/gallery/recipe-{name}.webp" in page for name in shown)
+    assert page.count('<div class="before-after"') == len(shown) > 1
 
 
 @pytest.mark.parametrize("hook", ["commands"], indirect=True)

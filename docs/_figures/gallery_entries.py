@@ -18,7 +18,7 @@ from effect_drawing import setting_text
 
 import torchweather as tw
 from torchweather.atmosphere.weather import Weather
-from torchweather.recipes import load_recipe
+from torchweather.recipes import list_recipes, load_recipe
 from torchweather.stages import EFFECTS
 
 __all__ = ["CLEAR", "SETUP", "Entry", "entries", "without_effect"]
@@ -114,6 +114,33 @@ weather = tw.RadarAttenuation(tw.Rain(50.0), simulator.list_sensor)
 result = weather.run(points, weather.draw(points, seed=7))
 """,
 }
+RECIPE = {
+    "camera": """\
+from torchweather.recipes import load_recipe
+
+camera = tw.Camera.preset("{preset}").resized({width}, {height})
+view = test_track().view(camera)
+weather = load_recipe("{name}", sensor=camera)
+picture = develop(weather(view.bayer, view.depth_m, seed=7), camera.bayer_pattern)
+""",
+    "lidar": """\
+from torchweather.recipes import load_recipe
+
+sensor = tw.Lidar.preset("{preset}"{columns})
+view = lidar_view(test_track(), sensor)
+weather = load_recipe("{name}", sensor=sensor)
+result = weather.run(view.points, weather.draw(view.points, seed=7), directions=view.directions)
+""",
+    "radar": """\
+from torchweather.recipes import load_recipe
+
+simulator = FmcwRadar(tw.Radar.preset("{preset}"))
+scatterers = radar_view(test_track(), simulator.radar).scatterers
+points = simulator(scatterers, simulator.draw(scatterers, seed=7))
+weather = load_recipe("{name}", sensor=simulator.list_sensor)
+result = weather.run(points, weather.draw(points, seed=7))
+""",
+}
 EFFECT_PICTURES: dict[str, Mapping[str, Any]] = {
     "camera": camera_pictures.PICTURES,
     "lidar": {**lidar_pictures.PICTURES, **lidar_structure.PICTURES, **lidar_surfaces.PICTURES},
@@ -180,6 +207,7 @@ def entries() -> Iterator[Entry]:
             yield weathered(f"{sensor}-{slug(title)}", sensor, "More weathers", title, weather)
         yield from effects(sensor)
         yield from presets(sensor)
+        yield from recipes(sensor)
 
 
 def severities(sensor: str) -> Iterator[Entry]:
@@ -226,22 +254,35 @@ def presets(sensor: str) -> Iterator[Entry]:
     """Every preset that can scan a scene, in one weather, compared with clear air."""
     weather = {"camera": "rain of 25 mm/h", "lidar": "snow of 1 mm/h", "radar": "rain of 50 mm/h"}
     group = f"Presets in {weather[sensor]}"
-    for name, fields in PRESETS[sensor].items():
-        wanted: dict[str, Any] = {"name": name, "columns": ""}
-        if sensor == "camera":
-            scale = min(WIDTH_PX / fields["width"], HEIGHT_PX / fields["height"])
-            wanted |= {side: 2 * round(scale * fields[side] / 2) for side in ("width", "height")}
-        elif sensor == "lidar":
-            if "elevations_deg" not in fields:
-                continue
-            if fields.get("columns", 0) > COLUMNS:
-                wanted["columns"] = f", columns={COLUMNS}"
-        elif fields["chirps"] == 1:
-            continue  # turns and gives power maps, no detections
-        code = PRESET[sensor].format(**wanted)
-        before = f"{sensor}-preset-{slug(name)}-{CLEAR}"
-        yield Entry(f"{sensor}-preset-{slug(name)}", sensor, group, name, code, before)
-        yield Entry(before, sensor, "", "clear air", code, "")
+    for name in PRESETS[sensor]:
+        wanted = scene_of(sensor, name)
+        if wanted is not None:
+            code = PRESET[sensor].format(name=name, **wanted)
+            before = f"{sensor}-preset-{slug(name)}-{CLEAR}"
+            yield Entry(f"{sensor}-preset-{slug(name)}", sensor, group, name, code, before)
+            yield Entry(before, sensor, "", "clear air", code, "")
+
+
+def scene_of(sensor: str, preset: str) -> dict[str, Any] | None:
+    """Size at which a preset looks at the embedded scene; ``None`` for a sensor that cannot."""
+    fields = PRESETS[sensor][preset]
+    if sensor == "camera":
+        scale = min(WIDTH_PX / fields["width"], HEIGHT_PX / fields["height"])
+        return {side: 2 * round(scale * fields[side] / 2) for side in ("width", "height")}
+    if sensor == "lidar":
+        many = fields.get("columns", 0) > COLUMNS
+        return {"columns": f", columns={COLUMNS}" if many else ""} if "elevations_deg" in fields else None
+    return {} if fields["chirps"] > 1 else None  # a radar that turns gives power maps, no detections
+
+
+def recipes(sensor: str) -> Iterator[Entry]:
+    """Every recipe that is one transform, compared with clear air; they stand on the page of recipes."""
+    for recipe in list_recipes(kind="transform"):
+        if recipe.name.startswith(f"{sensor}/"):
+            preset = yaml.safe_load(recipe.path.read_text(encoding="utf-8"))["sensor"]["preset"]
+            code = RECIPE[sensor].format(name=recipe.name, preset=preset, **(scene_of(sensor, preset) or {}))
+            name = f"recipe-{slug(recipe.name)}"
+            yield Entry(name, sensor, "", recipe.title, code, f"{sensor}-preset-{slug(preset)}-{CLEAR}")
 
 
 def expression(weather: Weather) -> str:

@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-__all__ = ["picture_of_class", "read_table", "slider"]
+__all__ = ["picture_of_class", "picture_of_recipe", "read_table", "slider"]
 
 PICTURES = "images/gallery"
 # Pictures of classes that are no effects; an effect's class has the name of its picture.
@@ -41,6 +41,11 @@ def picture_of_class(name: str, table: dict[str, Any]) -> dict[str, Any] | None:
     first, *rest = [word.lower() for word in WORD.findall(name)] or [""]
     wanted = OF_CLASS.get(name, f"{first}.{'_'.join(rest)}")
     return next((entry for entry in table["entries"] if entry["name"] == wanted), None)
+
+
+def picture_of_recipe(name: str, table: dict[str, Any]) -> dict[str, Any] | None:
+    """Entry that shows a recipe, where one does: ``camera/fog-10m`` is ``recipe-camera-fog-10m``."""
+    return next((entry for entry in table["entries"] if entry["name"] == f"recipe-{name.replace('/', '-')}"), None)
 
 
 def slider(entry: dict[str, Any], up: str) -> str:

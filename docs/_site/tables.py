@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from pictures import picture_of_recipe, read_table, slider
 
 INDEX = """# Reference
 
@@ -28,7 +29,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     root = Path(config.docs_dir).parent
     pages = {
         "reference/index.md": INDEX,
-        "reference/recipes.md": recipes(root / "transforms"),
+        "reference/recipes.md": recipes(root / "transforms", read_table(Path(config.docs_dir))),
         "reference/presets.md": presets(root / "torchweather" / "presets" / "sensors.yaml"),
     }
     for uri, text in pages.items():
@@ -36,19 +37,43 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def recipes(folder: Path) -> str:
-    """Table of the recipes in each folder."""
+def recipes(folder: Path, table: dict[str, Any]) -> str:
+    """Table of the recipes in each folder, and a picture of each that is one weather."""
     lines = [
         "# Recipes",
         "",
         "Load one by name, `torchweather.recipes.load_recipe`, or give the name to a command as `--recipe`.",
+        "A `transform` is one weather before one sensor, with a picture below its table; clear air is on its left.",
+        "A `multi_sensor` recipe puts one weather on all sensors of a sample; mixes draw another one for each",
+        "sample. A `suite` is a list of weathers and severities, which the gallery shows for",
+        "[cameras](../gallery/camera.md), [LiDAR](../gallery/lidar.md) and [radar](../gallery/radar.md).",
     ]
     for part in sorted(path for path in folder.iterdir() if path.is_dir()):
         lines += ["", f"## {part.name}", "", "| name | kind | what it is |", "| --- | --- | --- |"]
-        for path in sorted(part.glob("*.yaml")):
-            recipe = yaml.safe_load(path.read_text(encoding="utf-8"))
-            lines.append(f"| `{part.name}/{path.stem}` | {recipe['kind']} | {cell(recipe['title'])} |")
+        names = [f"{part.name}/{path.stem}" for path in sorted(part.glob("*.yaml"))]
+        for name in names:
+            recipe = yaml.safe_load((folder / f"{name}.yaml").read_text(encoding="utf-8"))
+            lines.append(f"| `{name}` | {recipe['kind']} | {cell(recipe['title'])} |")
+        lines += pictures([(name, picture_of_recipe(name, table)) for name in names])
     return "\n".join([*lines, ""])
+
+
+def pictures(shown: list[tuple[str, dict[str, Any] | None]]) -> list[str]:
+    """Sliders of the recipes that have a picture."""
+    lines = []
+    for name, entry in shown:
+        if entry is not None:
+            lines += [
+                "",
+                '<div class="gallery-entry" markdown>',
+                "",
+                slider(entry, "../../"),
+                "",
+                f"`{name}`",
+                "",
+                "</div>",
+            ]
+    return ["", '<div class="gallery" markdown>', *lines, "", "</div>"] if lines else []
 
 
 def presets(path: Path) -> str:
