@@ -20,6 +20,7 @@ import yaml
 import torchweather
 from torchweather.cli.program import build_parser
 from torchweather.recipes import list_recipes
+from torchweather.stages import EFFECTS
 
 ROOT = Path(__file__).parents[1]
 SITE = ROOT / "docs" / "_site"
@@ -140,3 +141,19 @@ echo $`date`$
 def test_a_command_that_is_not_converted_stops_the_build(hook: ModuleType) -> None:
     with pytest.raises(ValueError, match=r"'\\\\foo'"):
         hook.on_page_markdown("$`\\foo + 1`$", page=None)
+
+
+@pytest.mark.parametrize("hook", ["effects"], indirect=True)
+def test_every_effect_has_a_page_with_its_parameters_picture_and_class(hook: ModuleType) -> None:
+    pages = written_by(hook)
+    effects = {name: effect for name, effect in EFFECTS.items() if name.partition(".")[0] in hook.SENSORS}
+    assert {f"reference/effects/{name}.md" for name in effects} == set(pages) - {"reference/effects.md"}
+    for name, effect in effects.items():
+        page = pages[f"reference/effects/{name}.md"]
+        assert f"(effects/{name}.md)" in pages["reference/effects.md"]
+        assert (
+            f"[`{effect.__name__}`](../torchweather.{name.partition('.')[0]}.effects.all/{effect.__name__}.md)" in page
+        )
+        assert all(f"| `{parameter.name}` |" in page for parameter in effect.arguments)
+        assert all(f"[`{other}`]({other}.md)" in page for other in effect.confusable_with)
+        assert f"images/gallery/{name}.webp" in page

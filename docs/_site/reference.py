@@ -1,4 +1,4 @@
-"""Reference of the Python names: a page for each module and each public class, written when the site is built.
+"""Reference of the Python names: a page for each module, class and function, written when the site is built.
 
 The list of names is docs/public-names.md, which a test compares with the code. Modules are read, not imported: the
 site is built without PyTorch.
@@ -72,8 +72,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for module, names in modules.items():
         pages[f"reference/{module}.md"] = module_page(module, names, home)
     for name in home.values():
-        if name.kind == "class":
-            pages[page_of(name)] = class_page(name, table)
+        if name.kind != "value":
+            pages[page_of(name)] = page_in_full(name, table)
     for uri, text in pages.items():
         files.append(File.generated(config, uri, content=text))
     return files
@@ -104,7 +104,7 @@ def find(package: griffe.Object | griffe.Alias, module: str, name: str) -> griff
 
 
 def page_of(name: Name) -> str:
-    """Page of a class."""
+    """Page of a class or function."""
     return f"reference/{name.module}/{name.name}.md"
 
 
@@ -116,32 +116,26 @@ def overview(modules: dict[str, list[Name]], page: Path) -> str:
 
 
 def module_page(module: str, names: list[Name], home: dict[str, Name]) -> str:
-    """Lists of a module's names by kind, and its functions in full."""
+    """Lists of a module's names by kind."""
     lines = [f"# {module}", "", "[Python](python.md)"]
     for kind, title in KINDS.items():
         listed = [name for name in names if name.kind == kind]
         lines += ["", f"## {title}", ""] if listed else []
         for name in listed:
             about = f": {name.first_line}" if name.first_line else ""
-            lines.append(f"- {link_to(name, module, home[name.path])}{about}")
-    lines += ["", "## In full"] if any(name.kind == "function" and home[name.path] is name for name in names) else []
-    for name in names:
-        if name.kind == "function" and home[name.path] is name:
-            lines += ["", f"::: {name.path}", "    options:", "      heading_level: 3"]
+            lines.append(f"- {link_to(name, home[name.path])}{about}")
     return "\n".join([*lines, ""])
 
 
-def link_to(name: Name, module: str, first: Name) -> str:
-    """Link from a module's page to the place of a name."""
-    if name.kind == "class":
-        return f"[`{name.name}`]({page_of(first).removeprefix('reference/')})"
-    if name.kind == "function":
-        return f"[`{name.name}`]({'' if first.module == module else f'{first.module}.md'}#{name.path})"
-    return f"`{name.name}`"
+def link_to(name: Name, first: Name) -> str:
+    """Link from a module's page to the page of a name."""
+    if name.kind == "value":
+        return f"`{name.name}`"
+    return f"[`{name.name}`]({page_of(first).removeprefix('reference/')})"
 
 
-def class_page(name: Name, table: dict[str, Any]) -> str:
-    """A class with its methods, and its picture of the gallery where there is one."""
+def page_in_full(name: Name, table: dict[str, Any]) -> str:
+    """A class with its methods, or a function; with its picture of the gallery where there is one."""
     shown = picture_of_class(name.name, table)
     picture = []
     if shown is not None:

@@ -12,11 +12,11 @@ from pictures import picture_of_recipe, read_table, slider
 
 INDEX = """# Reference
 
-- [Python](python.md): a page for each module and each public class, from the docstrings.
+- [Python](python.md): a page for each module, public class and function, from the docstrings.
 - [Command line](command-line.md): every command with its arguments, from the parsers.
 - [Recipes](recipes.md) and [sensor presets](presets.md), from their YAML.
-- Effects of [cameras](../effects-camera.md), [LiDAR](../effects-lidar.md) and [radar](../effects-radar.md), each with
-  its picture.
+- [Effects](effects.md): a page for each. All of a sensor on one page: [cameras](../effects-camera.md),
+  [LiDAR](../effects-lidar.md), [radar](../effects-radar.md).
 - [Metrics](../metrics.md), [the study folder](../study-folder.md) and [conventions](../conventions.md): frames, units,
   data contracts, seeds.
 - [Equations](../PHYSICS.md), with units, defaults and sources. Docstrings cite them as `PHYSICS.md`.
