@@ -169,7 +169,7 @@ class Weather:
         )
 
     def _ends_are_good(self) -> bool:
-        """Whether anything is random; all that can be drawn has then been checked."""
+        """Check whether anything is random; all that can be drawn has then been checked."""
         intensity = getattr(self, self.intensity_name)
         if isinstance(intensity, (tuple, list)):
             if len(intensity) != 2 or isinstance(intensity, list):

@@ -67,7 +67,7 @@ def _look_ups() -> tuple[Tensor, Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class Scene:
-    """What the pictures of one size have in common, and the depth of one.
+    """Common parts of all pictures of one size, and the depth of one.
 
     Args:
         depth_m: ``(H, W)`` metres along the axis; infinity is sky.
@@ -284,7 +284,7 @@ def _scene_depth(transform: BayerWeather, rgb: Tensor, depth: Tensor | SceneDept
 
 
 def _scene(state: CameraState, row: int) -> Scene:
-    """What the pass needs of one sample of a state."""
+    """Inputs of the pass from one sample of a state."""
 
     def own(value: Tensor | None) -> Tensor | None:
         return None if value is None else value[row : row + 1] if len(value) > 1 else value

@@ -18,7 +18,7 @@ Back = Callable[[Tensor], Any]
 
 
 def is_picture(value: Any) -> bool:
-    """Whether `picture_tensor` takes it."""
+    """Check whether `picture_tensor` takes it."""
     return isinstance(value, (Tensor, np.ndarray)) or _is_pil(value)
 
 

@@ -37,7 +37,7 @@ FADING_PLANE = 1  # green stands for all colours in a result's transmission
 
 @dataclass(frozen=True)
 class RgbResult:
-    """What the weather did to an RGB image.
+    """Result of a weather on an RGB image.
 
     Args:
         rgb: ``(..., 3, H, W)`` the image, in the dtype of the input.

@@ -48,7 +48,7 @@ SCENE = "scene:"  # begins the name of an embedded scene
 CLOUDS_ONLY = (".bin", ".pcd", ".ply", ".csv", ".las", ".laz", ".pcap")
 KINDS = ("camera", "lidar", "radar")
 Work = tuple[Callable[..., None], Callable[[dict[str, Any]], str]]
-"""What processes the inputs, and what describes one result in a line."""
+"""Function that processes the inputs, and the one that describes a result in a line."""
 SEQUENCE_ARGUMENTS = ("sequence", "frame_rate_hz")
 # By the kind of the sensor: arguments that belong to it, named as they stand in the arguments. Some belong to two.
 ARGUMENTS = {
@@ -215,7 +215,7 @@ WORK: dict[str, Callable[[argparse.Namespace], Work]] = {
 
 
 def _is_sequence(args: argparse.Namespace) -> bool:
-    """Whether the frames belong together; checks what belongs to a sequence."""
+    """Check whether the frames belong together, and the options of a sequence."""
     from torchweather.cli.apply_sequence import is_video
 
     videos = [path for path in args.inputs if is_video(path)]

@@ -33,7 +33,7 @@ __all__ = ["line", "process"]
 
 @dataclass(frozen=True)
 class Plan:
-    """What to do to every frame."""
+    """Work to be done on every frame."""
 
     weather: Weather
     camera: Camera
@@ -187,7 +187,7 @@ def _check_range(image: Any, camera: Camera) -> None:
 
 
 def line(entry: Mapping[str, Any]) -> str:
-    """What was done to a frame, as text."""
+    """Line of output on a frame."""
     airlight = entry["airlight"]
     light = "" if airlight and isinstance(airlight[0], list) else " ".join(f"{value:.3f}" for value in airlight)
     return (

@@ -234,7 +234,7 @@ class _Work:
 
 
 def line(entry: Mapping[str, Any]) -> str:
-    """What was done to a cloud, as text."""
+    """Line of output on a cloud."""
     frame = f" frame {entry['frame']}" if "frame" in entry else ""
     second = ""
     if "second_objects" in entry:

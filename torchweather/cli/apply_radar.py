@@ -125,7 +125,7 @@ def _truth(result: RadarResult) -> Iterator[tuple[str, Any]]:
 
 
 def _counts(points: Tensor, result: RadarResult) -> dict[str, Any]:
-    """What became of the rows of a file: detections kept and lost, the weather's own, and the mean two-way loss."""
+    """Counts of a file's rows: detections kept and lost, the weather's own, and the mean two-way loss."""
     assert isinstance(result.kind, Tensor)
     assert isinstance(result.source, Tensor)
     assert isinstance(result.attenuation_db, Tensor)
@@ -146,7 +146,7 @@ def _counts(points: Tensor, result: RadarResult) -> dict[str, Any]:
 
 
 def line(entry: Mapping[str, Any]) -> str:
-    """What was done to a list of detections, as text."""
+    """Line of output on a list of detections."""
     mean = entry["attenuation_db_mean"]
     loss = "" if mean is None else f", {mean:.3g} dB two way in the mean"
     return (

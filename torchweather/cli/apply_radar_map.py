@@ -46,7 +46,7 @@ KEYS = ("map", "power", "values")  # of a .npz that holds a map
 
 
 def has_maps(args: argparse.Namespace) -> bool:
-    """Whether the inputs are power maps, and not lists of detections."""
+    """Check whether the inputs are power maps, and not lists of detections."""
     if args.map is not None:
         return True
     return any(path.suffix.lower() in MAP_ONLY or _archived(path) for path in _files(args.inputs))
@@ -91,7 +91,7 @@ def process(
 
 
 def line(entry: Mapping[str, Any]) -> str:
-    """What was done to a map, as text."""
+    """Line of output on a map."""
     before, after = entry["detections_clear"], entry["detections"]
     counts = "" if before is None else f"  detections {before} clear, {after} in the weather"
     clutter = "" if entry["clutter_db"] is None else f", clutter up to {entry['clutter_db']:.1f} dB over the noise"
@@ -104,7 +104,7 @@ def line(entry: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class _Plan:
-    """What is done to each file."""
+    """Work to be done on each file."""
 
     weather: Weather
     sensor: Radar
@@ -112,7 +112,7 @@ class _Plan:
     args: argparse.Namespace
 
     def outputs(self, file: Path) -> list[Path]:
-        """What is written for a file, the map last."""
+        """Files that are written for an input, the map last."""
         found = [self.args.out / f"{file.stem}_labels.npz"] if self.args.labels is not None else []
         if self.args.preview:
             found.append(self.args.out / f"{file.stem}_preview.png")
@@ -242,7 +242,7 @@ def _files(inputs: list[Path]) -> list[Path]:
 
 
 def _archived(path: Path) -> bool:
-    """Whether a ``.npz`` holds a map."""
+    """Check whether a ``.npz`` holds a map."""
     if path.suffix.lower() != ".npz" or not path.is_file():
         return False
     try:

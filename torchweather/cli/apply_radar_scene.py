@@ -175,7 +175,7 @@ def _labelled(frame: RadarFrame) -> RadarPoints:
 
 
 def line(entry: Mapping[str, Any]) -> str:
-    """What was done to a scene, as text."""
+    """Line of output on a scene."""
     radome = f", cover {entry['radome_db']:.3g} dB two way" if entry["radome_db"] else ""
     return (
         f"{entry['input']} -> {entry['output']}, {entry['clear']}, {entry['picture']}  seed {entry['seed']}  "

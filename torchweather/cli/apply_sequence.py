@@ -38,7 +38,7 @@ DEPTH_ARGUMENTS = (
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file's name is that of a video."""
+    """Check whether a file's name is that of a video."""
     return path.suffix.lower() in VIDEO_SUFFIXES
 
 
@@ -209,7 +209,7 @@ def _result_of(
 
 
 def line(entry: Mapping[str, Any]) -> str:
-    """What was done to a sequence, as text."""
+    """Line of output on a sequence."""
     speed, airlight = entry["ego_speed_m_per_s"], entry["airlight"]
     parts = [
         f"{entry['input']} -> {entry['output']}",

@@ -103,7 +103,7 @@ def refuse_wrong_unit(name: str, points: Tensor, sensor: Lidar, args: argparse.N
 
 
 def add_lidar_arguments(parser: argparse.ArgumentParser) -> None:
-    """What is known of the LiDAR beyond its preset, and what is to be written."""
+    """Add arguments on the LiDAR beyond its preset, and on the outputs."""
     group = parser.add_argument_group("lidar", "replaces what the preset says")
     add_lidar_fields(group)
     add_complete_scan(group)
@@ -162,7 +162,7 @@ def reading_of(args: argparse.Namespace) -> PointReading:
 
 
 def add_lidar_fields(group: argparse._ArgumentGroup) -> None:
-    """What is known of the LiDAR beyond its preset."""
+    """Add arguments on the LiDAR beyond its preset."""
     group.add_argument("--return-mode", help="strongest, last, first, or dual (second returns get a file NAME_second)")
     group.add_argument(
         "--intensity-unit",

@@ -26,7 +26,7 @@ RADAR_ARGUMENTS = (*RADAR_FIELDS, *RADAR_OPTIONS, "speed", "gain", *MAP_ARGUMENT
 
 
 def add_radar_arguments(parser: argparse.ArgumentParser) -> None:
-    """What is known of the radar beyond its preset, its cover, and how its files are read."""
+    """Add arguments on the radar beyond its preset, on its cover, and on how its files are read."""
     group = parser.add_argument_group(
         "radar", "replaces what the preset says; --lost, --labels npz and --ego-speed-m-per-s are a radar's too"
     )
@@ -38,7 +38,7 @@ def add_radar_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_map_arguments(parser: argparse.ArgumentParser) -> None:
-    """What is known of the power maps of a radar."""
+    """Add arguments on the power maps of a radar."""
     group = parser.add_argument_group(
         "radar power maps", "polar pictures (.png) and arrays (.npy, .npz) of range, azimuth, Doppler, elevation"
     )
@@ -59,7 +59,7 @@ def add_map_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_radar_fields(group: argparse._ArgumentGroup) -> None:
-    """What is known of the radar beyond its preset, and how its files are read."""
+    """Add arguments on the radar beyond its preset, and on how its files are read."""
     group.add_argument("--frequency-ghz", type=float, help="carrier, GHz")
     group.add_argument("--polarisation", help="h or v")
     group.add_argument("--noise-floor-db", type=float, help="noise of the detections, in the unit of their power")

@@ -48,7 +48,7 @@ def refuse_early(args: argparse.Namespace, command: str) -> None:
 
 
 def _plain(args: argparse.Namespace) -> bool:
-    """Whether a call of ``apply`` has one input and no argument of one kind of sensor: others are looked at first."""
+    """Check whether ``apply`` has one input and no argument of one kind of sensor: others are looked at first."""
     special = {name for names in ARGUMENTS.values() for name in names}
     return len(args.inputs) == 1 and all(getattr(args, name) in (None, False) for name in special)
 

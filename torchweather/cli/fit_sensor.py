@@ -102,7 +102,7 @@ def _other_preset(pattern: PatternFit, found: _Gathered) -> list[str]:
 
 @dataclass
 class _Gathered:
-    """What the files showed."""
+    """Findings of all files."""
 
     preset: str
     lidar: Lidar

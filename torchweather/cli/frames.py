@@ -77,7 +77,7 @@ def camera_options(args: argparse.Namespace, ego_speed_m_per_s: float | None) ->
 
 
 def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
-    """What is known of the camera beyond its preset."""
+    """Add arguments on the camera beyond its preset."""
     group = parser.add_argument_group("camera", "replaces what the preset says")
     group.add_argument(
         "--camera",
@@ -266,7 +266,7 @@ _PANORAMA = 4.0
 
 
 def _fit_note(camera: Camera, fit: CameraFit, why: str) -> str:
-    """What was done to the preset's camera, in words; '' where nothing was."""
+    """Note on changes of the preset's camera; '' where there are none."""
     fitted = fit.camera
     if fit.how == "same":
         return ""

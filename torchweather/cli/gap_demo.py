@@ -105,7 +105,7 @@ def _values(effects: list[dict[str, Any]]) -> dict[str, str]:
 
 
 def outcome(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> tuple[bool, str]:
-    """Whether the search named what was hidden and nothing else, and a sentence that says so.
+    """Success of the search, which is to name the hidden effect and nothing else, and a sentence on it.
 
     Example:
         >>> loss = {"name": "lidar.window_loss", "parameters": {"loss_db": 2.0}}

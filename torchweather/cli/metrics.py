@@ -30,7 +30,7 @@ Row = dict[str, Any]
 
 
 class Scores(Protocol):
-    """What scores pairs of files."""
+    """Scorer of pairs of files."""
 
     names: list[str]
     columns: list[str]
@@ -39,7 +39,7 @@ class Scores(Protocol):
         """Scores of one pair, by the names in ``columns``."""
 
     def better(self, name: str) -> str:
-        """Which way a score is better, in words."""
+        """Direction in which a score is better, in words."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -122,7 +122,7 @@ def _sensor(text: str | None) -> str | None:
 
 
 def _scores(args: argparse.Namespace, kind: str) -> Scores:
-    """What scores files of this kind; arguments of the other kind are refused."""
+    """Scorer of files of this kind; arguments of the other kind are refused."""
     from torchweather.cli.pairs_of_files import IMAGES
 
     for name in CLOUDS_ONLY if kind == IMAGES else IMAGES_ONLY:

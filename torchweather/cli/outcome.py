@@ -122,7 +122,7 @@ def left_out_of(inputs: Iterable[Path], files: Iterable[Path]) -> list[str]:
 
 
 def _named(path: Path, why: str) -> str:
-    """Why a file is broken, with its name once."""
+    """Reason why a file is broken, with its name once."""
     return why if str(path) in why else f"{path}: {why}"
 
 

@@ -23,7 +23,7 @@ OF_CLOUDS = ("points.npy", "x.npy", "y.npy", "z.npy", "columns.npy")
 
 @dataclass(frozen=True)
 class PairsOfFiles:
-    """What is scored.
+    """Files to be scored.
 
     Args:
         kind: ``images``, ``point clouds`` or ``radar detections``.
@@ -91,7 +91,7 @@ def _matched(first: list[Path], second: list[Path]) -> list[tuple[Path, Path]]:
 
 
 def _kind(files: list[Path], sensor: str | None) -> str:
-    """What all the files hold."""
+    """Kind of all the files."""
     if sensor is not None:
         return KIND_OF_SENSOR[sensor]
     kinds = {path: _kind_of(path) for path in files}
@@ -111,7 +111,7 @@ def _kind(files: list[Path], sensor: str | None) -> str:
 
 
 def _kind_of(path: Path) -> str:
-    """What a file holds by its ending; an archive by the names of its arrays; '' unknown."""
+    """Kind of a file by its ending; an archive by the names of its arrays; '' unknown."""
     from torchweather.io import IMAGE_SUFFIXES, POINT_SUFFIXES
 
     if path.suffix.lower() == ".npz":

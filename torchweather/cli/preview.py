@@ -81,7 +81,7 @@ def preview_image(
 
 
 def _shower(image: Tensor, transform: Any, scene: SceneDepth) -> Any:
-    """What makes an 8-bit picture ``(3, H, W)`` of an image: a mosaic is developed as the clear one looks best."""
+    """Function from an image to an 8-bit picture ``(3, H, W)``: a mosaic is developed as the clear one looks best."""
     import torch
 
     from torchweather.camera.tone import normalise, quantise

@@ -45,7 +45,7 @@ class CloudScores:
             self.radar = Radar.preset(preset)
 
     def better(self, name: str) -> str:
-        """Which way a score is better, in words."""
+        """Direction in which a score is better, in words."""
         return f"{UNITS.get(name, 'm')}, lower is better, identical clouds 0"
 
     def score(self, reference: Path, distorted: Path) -> dict[str, float]:

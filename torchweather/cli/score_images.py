@@ -48,7 +48,7 @@ class ImageScores:
             self.columns += [f"{name}_{plane}" for name in self.names for plane in plane_names(self._pattern())]
 
     def better(self, name: str) -> str:
-        """Which way a score is better, in words."""
+        """Direction in which a score is better, in words."""
         facts = IMAGE_SCORES[name]
         return f"{'higher' if facts.higher_is_better else 'lower'} is better, identical images {facts.ideal:g}"
 

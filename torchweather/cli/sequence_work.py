@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class SequencePlan:
-    """What to do to every frame."""
+    """Work to be done on every frame."""
 
     weather: Weather
     camera: Camera
@@ -46,7 +46,7 @@ class SequencePlan:
 
 @dataclass(frozen=True)
 class Survey:
-    """What some frames, far apart, say of the whole drive."""
+    """Findings on the whole drive from some frames far apart."""
 
     airlight: list[float]
     confidence: str

@@ -177,7 +177,7 @@ def _check(args: argparse.Namespace, kind: str) -> None:
 
 
 def _subjects(args: argparse.Namespace, kind: str, preset: str) -> tuple[list[Subject], str, list[str]]:
-    """What gets the weather, the sensor's name, and what a reader must know."""
+    """Subjects that get the weather, the sensor's name, and notes for the reader."""
     from torchweather.cli import sweep_inputs
     from torchweather.sensors import DEFAULT_PRESETS
 

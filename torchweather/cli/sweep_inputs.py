@@ -1,4 +1,4 @@
-"""What ``torchweather sweep`` puts weather on: embedded scenes, files, and the files of a folder together."""
+"""Inputs of ``torchweather sweep``: embedded scenes, files, and the files of a folder together."""
 
 from __future__ import annotations
 

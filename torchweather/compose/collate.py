@@ -19,7 +19,7 @@ from torchweather.io.point_cloud import PointCloud
 __all__ = ["CLOUDS_AS", "Collate"]
 
 CLOUDS_AS = ("padded", "indexed", "list")
-"""How clouds are joined: one tensor with a mask, one tensor with the sample's number in front, or a list."""
+"""Ways to join clouds: one tensor with a mask, one tensor with the sample's number in front, or a list."""
 
 
 @dataclass(frozen=True)

@@ -342,7 +342,7 @@ class Compose(nn.Module):
         return self._mosaics(self.specs[key])
 
     def _mosaics(self, spec: TransformSpec[Any]) -> bool:
-        """Whether clear data of a key go through the mosaic."""
+        """Check whether clear data of a key go through the mosaic."""
         return self.mosaic_clear and spec.through_mosaic
 
     def _clear(self, key: str, spec: TransformSpec[Any], value: Tensor) -> Tensor:
@@ -363,7 +363,7 @@ class Compose(nn.Module):
         draw: Draw,
         truth: bool,
     ) -> Any:
-        """What the transform of a key makes of it; ``None`` without weather."""
+        """Result of a key's transform; ``None`` without weather."""
         if draw.weather is None:
             return None
         drawn = draw.nuisances.get(key, {})

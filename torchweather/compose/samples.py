@@ -1,4 +1,4 @@
-"""What a sample holds: tensors or numpy arrays, single ones, stacked in a batch, or in a list."""
+"""Contents of a sample: tensors or numpy arrays, single ones, stacked in a batch, or in a list."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class TransformSpec(Generic[S]):
 
     @property
     def by_look_ups(self) -> bool:
-        """Whether rain and snow come from a bank onto RGB images (``quality="training"``)."""
+        """True where rain and snow come from a bank onto RGB images (``quality="training"``)."""
         return self.rgb and not self.through_mosaic and self.options["quality"] != "exact"
 
     def build(self, weather: Weather, drawn: Mapping[str, Any] | None = None) -> Any:

@@ -66,7 +66,7 @@ def check_arguments(head: str, *values: object) -> None:
 
 
 def call_given(owner: str, name: str, function: Callable[..., Any], *values: object) -> Any:
-    """What a function that the user gives makes of some values; `InputTypeError` where it does not take them.
+    """Result of a user's function for some values; `InputTypeError` where it does not take them.
 
     Example:
         >>> call_given("gain", "law", abs, -1.5)

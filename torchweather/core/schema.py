@@ -62,12 +62,12 @@ class Key:
 
 
 def is_number(value: object) -> bool:
-    """Whether a value is a number; true and false are none."""
+    """Check whether a value is a number; true and false are none."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 def is_whole(value: object) -> bool:
-    """Whether a value is a whole number."""
+    """Check whether a value is a whole number."""
     return isinstance(value, int) and not isinstance(value, bool)
 
 

@@ -1,4 +1,4 @@
-"""What the weather left of each box: points, and the share of the light that came through."""
+"""Remains of each box in the weather: points, and the share of the light that came through."""
 
 from __future__ import annotations
 

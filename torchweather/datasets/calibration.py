@@ -1,4 +1,4 @@
-"""How a camera and a LiDAR of a data set stand to each other."""
+"""Pose of a data set's camera and LiDAR to each other."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ CAR_RCS_DBSM = 10.0
 
 
 class CarlaImage(Protocol):
-    """What a ``carla.Image`` has."""
+    """Fields of a ``carla.Image``."""
 
     raw_data: Any
     width: int
@@ -61,7 +61,7 @@ class CarlaImage(Protocol):
 
 
 class CarlaMeasurement(Protocol):
-    """What a ``carla.LidarMeasurement`` or ``carla.RadarMeasurement`` has."""
+    """Fields of a ``carla.LidarMeasurement`` or ``carla.RadarMeasurement``."""
 
     raw_data: Any
 

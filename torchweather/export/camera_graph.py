@@ -31,7 +31,7 @@ SECTION = "4"  # of docs/PHYSICS.md
 
 
 def traceable_camera(transform: BayerWeather | AsBayer, height: int, width: int, *, masks: bool = False) -> Traceable:
-    """What the exporter needs of a camera transform.
+    """Parts of a camera transform that the exporter needs.
 
     Args:
         transform: of raw frames, or of RGB images as colour planes.

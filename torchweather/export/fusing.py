@@ -167,7 +167,7 @@ def _only_input(weather: Any, detector: Any, source: str) -> str:
 
 
 def _example(module: nn.Module, arguments: tuple[Any, ...], number: int) -> Tensor:
-    """What the weather gives of the traced data."""
+    """Result of the weather for the traced data."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TorchweatherWarning)  # the traced scene is made up, and may show no sky
         found = module(*arguments)

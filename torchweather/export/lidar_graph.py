@@ -32,7 +32,7 @@ OUTPUTS = ("cloud", "kind", "second", "second_kind")
 
 
 def traceable_lidar(transform: LidarWeather, points: int, columns: int, directions: bool | None) -> Traceable:
-    """What the exporter needs of a LiDAR transform.
+    """Parts of a LiDAR transform that the exporter needs.
 
     Args:
         transform: whose lost points stay rows and whose clouds are not completed; anything else is refused.

@@ -1,4 +1,4 @@
-"""What a graph says of itself in its model properties: version, transform, equations, units, seed protocol."""
+"""Model properties of a graph: version, transform, equations, units, seed protocol."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ MAP_INPUTS, MAP_OUTPUTS = ("real", "imaginary"), ("map_real", "map_imaginary", "
 
 
 def traceable_radar(transform: RadarAttenuation, points: int, columns: int) -> Traceable:
-    """What the exporter needs of a radar transform.
+    """Parts of a radar transform that the exporter needs.
 
     Args:
         transform: whose lost detections stay rows; anything else is refused.
@@ -62,7 +62,7 @@ def traceable_radar(transform: RadarAttenuation, points: int, columns: int) -> T
 
 
 def traceable_map(transform: RangeDopplerMap) -> Traceable:
-    """What the exporter needs of a range-Doppler map."""
+    """Parts of a range-Doppler map that the exporter needs."""
     radar = transform.radar
     size = (TRACED_BATCH, radar.virtual_channels, radar.chirps, radar.samples)
     device = next(transform.buffers()).device

@@ -254,7 +254,7 @@ def _real(array: npt.NDArray[Any], source: Path) -> Samples:
 
 
 def _is_unsigned(in_phase: Samples, in_quadrature: Samples) -> bool:
-    """Whether signed 16-bit words were stored as unsigned ones."""
+    """Check whether signed 16-bit words were stored as unsigned ones."""
     both = (in_phase, in_quadrature)
     words = all(bool(((one >= 0) & (one < FULL_16_BIT) & (one == np.rint(one))).all()) for one in both)
     if not words or not any(bool((one > HALF_16_BIT).any()) for one in both):

@@ -18,12 +18,12 @@ _FIELDS = _FLOATS | {"id", *_STATES, "x_rms", "y_rms", "vx_rms", "vy_rms"}
 NUSCENES_RADAR_STATES: MappingProxyType[str, Collection[int]] = MappingProxyType(
     {"invalid_state": (0,), "dyn_prop": tuple(range(7)), "ambig_state": (3,)}
 )
-"""What the first versions of nuScenes' development kit keep: valid, not stopped, unambiguous; later ones keep stopped
-detections (``dyn_prop`` 7) too."""
+"""States that the first versions of nuScenes' development kit keep: valid, not stopped, unambiguous; later ones keep
+stopped detections (``dyn_prop`` 7) too."""
 
 
 def is_nuscenes_radar(names: Iterable[str]) -> bool:
-    """Whether a PCD file with these fields is a radar sweep of nuScenes."""
+    """Check whether a PCD file with these fields is a radar sweep of nuScenes."""
     return set(names) >= _FIELDS
 
 

@@ -93,7 +93,7 @@ def read_polar_png(source: Path, layout: MapLayout) -> PolarPicture:
 
 
 def has_metadata(pixels: Tensor) -> bool:
-    """Whether the first eleven columns of a picture ``(A, 11 + R)`` hold times that rise, azimuths and flags."""
+    """Check whether the first eleven columns of a picture ``(A, 11 + R)`` hold times that rise, azimuths and flags."""
     if pixels.shape[0] < LEAST_ROWS or pixels.shape[1] <= METADATA_COLUMNS + 1:
         return False
     header = pixels[:, :METADATA_COLUMNS].contiguous()

@@ -147,7 +147,7 @@ def _write_picture(target: Path, values: Tensor, record: MapRecord | None) -> No
 
 
 def _same(values: Tensor, before: Tensor) -> bool:
-    """Whether numbers are the same bits; NaN is like itself."""
+    """Check whether numbers are the same bits; NaN is like itself."""
     if values.dtype != before.dtype or values.shape != before.shape:
         return False
     one, other = (torch.view_as_real(v) if v.is_complex() else v for v in (values, before))

@@ -1,4 +1,4 @@
-"""Which fields of a file hold a radar detection's position, speed, power and cross section, and their conversion."""
+"""Fields of a file with a radar detection's position, speed, power and cross section, and their conversion."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class RadarColumns:
 
     @property
     def spherical(self) -> bool:
-        """Whether the position is range, azimuth and elevation."""
+        """True where the position is range, azimuth and elevation."""
         return self.position[0].lower() == "range_m"
 
     @property

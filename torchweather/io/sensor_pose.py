@@ -67,7 +67,7 @@ def read_sensor_pose(path: str | os.PathLike[str]) -> Tensor:
 
 
 def _of_text(source: Path) -> Any:
-    """What ``split_pose`` takes: rows of numbers."""
+    """Input of ``split_pose``: rows of numbers."""
     try:
         text = source.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -46,7 +46,7 @@ class PointField:
 
 @dataclass(frozen=True)
 class PointLayout:
-    """How a file held its points, kept so that it can be written back as it was.
+    """Layout of the points of a file, kept so that it can be written back as it was.
 
     Args:
         format: ``kitti``, ``nuscenes``, ``rows``, ``pcd``, ``ply``, ``npz``, ``csv``, ``las`` or ``ros``.

@@ -1,4 +1,4 @@
-"""What a LiDAR makes of water and snow on things: effects of the catalogue, with values from the conditions' laws."""
+"""Water and snow on things before a LiDAR: effects of the catalogue, with values from the conditions' laws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a LiDAR reports on average: expected signal of each object and its probability of detection; nothing is drawn.
+"""Mean report of a LiDAR: expected signal of each object and its probability of detection; nothing is drawn.
 
 Smooth in rates, visibility and sensor parameters, so that they can be fitted. The mean over draws of the chain
 ``to_energy``, ``extinction``, ``particle_returns``, ``detection``, except that the step at the threshold is rounded.

@@ -51,7 +51,7 @@ OFF_STEP = 1e-3
 
 
 def are_integers(intensity: Tensor, unit: str) -> Tensor:
-    """Whether all intensities of a sample ``(B, N)`` are integers of a unit that counts, bool ``(B, 1)``."""
+    """Check whether all intensities of a sample ``(B, N)`` are integers of a unit that counts, bool ``(B, 1)``."""
     if unit not in COUNTED:
         return torch.zeros_like(intensity[..., :1], dtype=torch.bool)
     return (intensity == intensity.floor()).all(-1, keepdim=True)

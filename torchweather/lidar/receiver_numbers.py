@@ -19,7 +19,7 @@ __all__ = ["receiver_numbers"]
 
 
 def receiver_numbers(weather: Weather, lidar: Lidar, **options: Any) -> dict[str, Any]:
-    """What the receiver is taken to be, and what that makes of a weather.
+    """Assumed numbers of the receiver, and what they make of a weather.
 
     Args:
         weather: with single numbers.

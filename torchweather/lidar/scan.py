@@ -387,13 +387,13 @@ def _order(key: Tensor) -> Tensor:
 
 
 def _outside(ends: _Ends) -> Tensor:
-    """Whether a pair of borders is an upper one and the next sector's lower one: borders come in pairs per ring."""
+    """Check whether two borders are an upper one and the next sector's lower one: borders come in pairs per ring."""
     number = ends.border.long().cumsum(0)
     return number[:-1] % 2 == 0
 
 
 def _above_the_lowest(turned: Tensor, rank: Tensor, azimuth: Tensor, seen_rank: Tensor, max_gap_deg: float) -> Tensor:
-    """Whether a beam lies on or above the lowest ring seen near its azimuth (in its half sector and the next ones)."""
+    """Check whether a beam lies on or above the lowest ring near its azimuth (in its half sector and the next ones)."""
     sectors = max(1, math.ceil(2.0 * TURN_DEG / max_gap_deg))
     place = (azimuth * (sectors / TURN_DEG)).long().clamp(0, sectors - 1)
     none = int(seen_rank.max()) + 1
@@ -474,7 +474,7 @@ def _unit(elevation_deg: Tensor, azimuth_deg: Tensor) -> Tensor:
 
 
 def _has_return(points: Tensor, nearest_m: float = 0.0) -> Tensor:
-    """Whether a row is a return: finite, not at the origin, not nearer than the sensor measures, ``(..., N)``."""
+    """Mask ``(..., N)`` of the returns: finite, not at the origin, not nearer than the sensor measures."""
     xyz = points[..., :3]
     found: Tensor = torch.isfinite(xyz).all(-1) & (xyz != 0).any(-1)
     return found & (xyz.norm(dim=-1) >= nearest_m) if nearest_m > 0 else found

@@ -704,7 +704,7 @@ def _echoes(
 def _of_density(
     part: BeamParticles | SoftReturn, density: Tensor | None, like: Tensor
 ) -> tuple[bool, Tensor | None, Tensor | None]:
-    """Whether a beam's density counts particles, the density, and what its arrivals are multiplied by."""
+    """Kind of a beam's density (of particles or not), the density, and the factor of its arrivals."""
     # d times as many particles: d Lambda = E. Fog is no list of particles; of it there is d times the light.
     counted = isinstance(part, BeamParticles)
     own = None if density is None else density.to(like)

@@ -52,7 +52,7 @@ class LidarScene:
 
 @dataclass(frozen=True)
 class LidarAir:
-    """What is in the air, and how far each beam sees it.
+    """Contents of the air, and how far each beam sees them.
 
     Args:
         reach_m: ``(B, N)`` range to which particles are seen: the object's, or the sensor's maximum where the beam has

@@ -469,7 +469,7 @@ class LidarWeather(WeatherTransform):
         )
 
     def _own_noise(self, points: Tensor, seeds: Tensor | None) -> _OwnNoise:
-        """What `draw` gives, for the call that follows, which checks the points."""
+        """Noise of `draw` for the call that follows, which checks the points."""
         if self.complete_scan:  # looks for beams first
             return _OwnNoise(self.draw(points, seed=seeds))
         return _OwnNoise(self.drawn(points.shape[:-2], {"N": points.shape[-2]}, None, seeds))
@@ -678,7 +678,7 @@ class LidarWeather(WeatherTransform):
         return state
 
     def _is_large(self, state: LidarState) -> bool:
-        """Whether the cloud is worked on in portions of its beams."""
+        """Check whether the cloud is worked on in portions of its beams."""
         batch, beams = state.scene.clear_range_m.shape
         if is_exporting() or batch * beams <= BEAMS_AT_ONCE or batch > beams:
             return False
@@ -766,7 +766,7 @@ def _own_vehicle_restored(state: LidarState, beams: Beams) -> LidarState:
 
 
 def _counts_of(beams: Beams) -> Tensor:
-    """How many beams of each cloud end where, ``(B, 6)``; rows of padding are none."""
+    """Number of beams of each cloud by their end, ``(B, 6)``; rows of padding are none."""
     assert beams.end is not None
     end = beams.end.long()
     if beams.appended and beams.empty_direction is not None:

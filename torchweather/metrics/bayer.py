@@ -21,7 +21,7 @@ from torchweather.metrics.score import Collected, ScoreFacts
 __all__ = ["ENCODINGS", "SCORED_AS", "BayerScore", "bayer_scores"]
 
 SCORED_AS = ("demosaic", "planes")
-"""What of a mosaic is scored."""
+"""Parts of a mosaic that can be scored."""
 
 ENCODINGS = ("srgb", "linear")
 """Values that are scored: as a display gets them, or linear in light."""

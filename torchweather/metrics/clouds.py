@@ -1,4 +1,4 @@
-"""What every cloud score does first: pairs of clouds one by one, the points that are there, a region."""
+"""First steps of every cloud score: pairs of clouds one by one, the points that are there, a region."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _kept(points: Tensor, mask: Tensor) -> Tensor:
 
 
 def there(points: Tensor, valid: Tensor | None = None, region: Region | None = None) -> Tensor:
-    """Which rows are points: valid, finite, not the row of zeros that stands for no return, inside the region.
+    """Mask of the points: valid, finite, not the row of zeros that stands for no return, inside the region.
 
     Args:
         points: ``(..., N, 3 or more)``.

@@ -39,7 +39,7 @@ def match(
     thresholds: Sequence[float],
     ranges: Sequence[tuple[float, float]],
 ) -> list[list[list[Mapping[str, Any]]]]:
-    """Which detection is a hit, per class, range and image.
+    """Hits among detections, per class, range and image.
 
     Args:
         truths: ``image_id`` and ``category_id`` from 1, ``area`` (what ``ranges`` bound), ``iscrowd`` (any number of

@@ -1,4 +1,4 @@
-"""How well metrics of degradation say what a detector makes of it."""
+"""Correlation of metrics of degradation with a detector's performance."""
 
 from __future__ import annotations
 

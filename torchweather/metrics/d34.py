@@ -57,7 +57,7 @@ class PublishedScore:
 
     @property
     def baseline(self) -> bool:
-        """Whether it was scored without weather; no level of severity."""
+        """True where it was scored without weather; no level of severity."""
         return "Baseline" in self.condition
 
 
@@ -78,7 +78,7 @@ class TrendCell:
     levels: int
     """Conditions that the trend is judged on."""
     coin_flip: bool
-    """Whether these are two: each metric then shows the trend with probability 1/2 by chance."""
+    """True where these are two: each metric then shows the trend with probability 1/2 by chance."""
     metrics: tuple[str, ...]
     """Metrics with the expected trend."""
 
@@ -90,7 +90,7 @@ class Inconsistency:
     name: str
     where: str
     why: str
-    """What the definitions say."""
+    """Facts from the definitions."""
     found: int
     """Cases that contradict it."""
     of: int
@@ -175,7 +175,7 @@ def _cell(row: dict[str, str]) -> TrendCell:
 
 
 def _belongs(score: PublishedScore, row: dict[str, str]) -> bool:
-    """Whether a score is of a cell; the tables name scenes as ``THI, Car, 28m`` or by the data set alone."""
+    """Check whether a score is of a cell; the tables name scenes as ``THI, Car, 28m`` or by the data set alone."""
     if (score.sensor, score.weather, score.source) != (row["sensor"], row["weather"], row["source"]):
         return False
     if row["scene"] == score.dataset:

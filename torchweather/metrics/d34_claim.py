@@ -1,4 +1,4 @@
-"""What D3.4 says about metrics and detectors, held against what is found."""
+"""Claim of D3.4 on metrics and detectors, compared with the findings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether images may have the data range that they are declared to have."""
+"""Check of the data range that images are declared to have."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def _around(planes: Tensor, side: int) -> Tensor:
 
 
 def _lack(a: Tensor, b: Tensor) -> Tensor:
-    """What the similarity of two magnitudes lacks to 1."""
+    """Difference between 1 and the similarity of two magnitudes."""
     return (a - b).square() / (a.square() + b.square() + STEADY)
 
 

@@ -48,7 +48,7 @@ IMAGE_SCORES: Mapping[str, ScoreFacts] = MappingProxyType(
         "mdsi": ScoreFacts(mdsi, False, 0.0, math.inf, 0.0, 3),
     }
 )
-"""What each score is, in the order of the table."""
+"""Facts of each score, in the order of the table."""
 
 OF_PAIR: Mapping[str, Callable[[Pair], Tensor]] = MappingProxyType(
     {

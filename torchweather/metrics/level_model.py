@@ -1,4 +1,4 @@
-"""What a metric says about a detector beyond the kind of weather and its strength."""
+"""Information of a metric on a detector beyond the kind of weather and its strength."""
 
 from __future__ import annotations
 

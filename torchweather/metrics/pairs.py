@@ -1,4 +1,4 @@
-"""What every image score starts from: two images of one shape, in their data range, large enough."""
+"""Input of every image score: two images of one shape, in their data range, large enough."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many points there are, in a region and of a kind."""
+"""Number of points in a region and of a kind."""
 
 from __future__ import annotations
 

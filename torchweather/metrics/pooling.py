@@ -1,4 +1,4 @@
-"""How local likeness becomes one number per image."""
+"""Pooling of local likeness to one number per image."""
 
 from __future__ import annotations
 

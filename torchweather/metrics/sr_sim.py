@@ -87,7 +87,7 @@ def sr_sim_of(pair: Pair, *, chromatic: bool = False) -> Tensor:
 
 
 def _saliency(plane: Tensor) -> Tensor:
-    """What the spectrum of a plane ``(B, 1, H, W)`` has beyond its own average in log amplitude; 0 for a flat plane."""
+    """Residual of a plane's log spectrum ``(B, 1, H, W)`` over its own average; 0 for a flat plane."""
     from kornia.filters import box_blur, filter2d_separable
 
     height, width = plane.shape[-2:]

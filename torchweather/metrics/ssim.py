@@ -20,7 +20,7 @@ K1, K2 = 0.01, 0.03
 
 
 def lacking(x: Tensor, y: Tensor, white: float = 1.0, *, brightness: bool = True) -> Tensor:
-    """What SSIM around each pixel lacks to 1, exactly 0 for identical images.
+    """Difference between 1 and the SSIM around each pixel, exactly 0 for identical images.
 
     Args:
         x, y: ``(B, C, H, W)``.

@@ -66,7 +66,7 @@ def _kept(size: int, level: int, like: Tensor) -> Tensor:
 
 
 def _ring(squared: Tensor, level: int) -> Tensor:
-    """What a level passes of squared frequencies, shares of Nyquist's: nothing of the mean."""
+    """Share that a level passes of squared frequencies, shares of Nyquist's: nothing of the mean."""
     octave = 0.5 * squared.clamp_min(torch.finfo(squared.dtype).tiny).log2()
     rise = (octave + (level + 1)).clamp(0.0, 1.0)
     fall = (octave + level).clamp(0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Whether scores get worse as the weather gets worse."""
+"""Trends of scores as the weather gets worse."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trend:
-    """How one metric goes with rising severity."""
+    """Trend of one metric with rising severity."""
 
     verdict: str
     """``expected`` (worse at every step), ``tied`` (never better, at least one tie), ``reversed`` (better at every
@@ -52,7 +52,7 @@ class SceneTrends:
 
     @property
     def coin_flip(self) -> bool:
-        """Whether a metric is judged on two levels only."""
+        """True where a metric is judged on two levels only."""
         return any(trend.levels == 2 for trend in self.metrics.values())
 
 
@@ -220,7 +220,7 @@ def _trend(
 
 
 def _worse(scores: Floats, tie_within: float) -> NDArray[np.bool_]:
-    """Which steps ``(..., L - 1)`` go up by more than a tie; infinite scores may be equal, NaN is never worse."""
+    """Mask of the steps ``(..., L - 1)`` up by more than a tie; infinite scores may be equal, NaN is never worse."""
     before, after = scores[..., :-1], scores[..., 1:]
     with np.errstate(invalid="ignore"):
         found: NDArray[np.bool_] = (after > before) & ~(after - before <= tie_within)

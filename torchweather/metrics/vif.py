@@ -79,7 +79,7 @@ def _about_middle(image: Tensor) -> Tensor:
 
 
 def _information(both: Tensor, window: Tensor) -> Tensor:
-    """What each window of both planes ``(B, 2, H, W)`` tells: of the distorted one and of the reference."""
+    """Information in each window of both planes ``(B, 2, H, W)``: of the distorted one and of the reference."""
     x, y = both.chunk(2, 1)
     moments = filtered(torch.cat((both, both.square(), x * y), 1), window, window)
     mean_x, mean_y, square_x, square_y, product = moments.chunk(5, 1)

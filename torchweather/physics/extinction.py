@@ -251,7 +251,7 @@ def extinction_and_backscatter(
 
 
 def is_cloud(distribution: SizeDistribution) -> bool:
-    """Whether the drops are droplets of fog (effective diameter below 0.1 mm) and not rain."""
+    """Check whether the drops are droplets of fog (effective diameter below 0.1 mm) and not rain."""
     if distribution.diameter_max_mm <= _IS_CLOUD_BELOW_MM:
         return True
     if distribution.diameter_min_mm >= _IS_CLOUD_BELOW_MM:

@@ -1,4 +1,4 @@
-"""How fast raindrops and snowflakes fall in still air at sea level."""
+"""Fall speeds of raindrops and snowflakes in still air at sea level."""
 
 from __future__ import annotations
 

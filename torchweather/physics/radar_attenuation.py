@@ -1,4 +1,4 @@
-"""What rain, fog and snow take from a radar signal: specific attenuation, dB/km one way, model by model."""
+"""Attenuation of a radar signal by rain, fog and snow: specific attenuation, dB/km one way, model by model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every particle size distribution answers: density per diameter, moments, tails, sampling, quadrature."""
+"""Interface of all particle size distributions: density per diameter, moments, tails, sampling, quadrature."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large and how dense a snowflake is: physical and melted diameter, bulk density, rain of equal visibility."""
+"""Size and density of a snowflake: physical and melted diameter, bulk density, rain of equal visibility."""
 
 from __future__ import annotations
 

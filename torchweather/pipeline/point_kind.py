@@ -1,4 +1,4 @@
-"""What a point of a cloud, or a detection, is."""
+"""Kinds of the points of a cloud and of detections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the three sensors share: presets, YAML files of one's own, a plain dictionary and back."""
+"""Common parts of the three sensors: presets, YAML files of one's own, a plain dictionary and back."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Sensor:
         return replace(self, **values) if values else self  # type: ignore[type-var]
 
     def _ends_are_good(self) -> bool:
-        """Whether anything is drawn for each sample; all corners of what can be drawn have then been checked."""
+        """Check whether anything is drawn for each sample; all corners of what can be drawn have then been checked."""
         random = self.random
         for name, one in random.items():
             if name not in self.drawable:

@@ -72,7 +72,7 @@ class WeatherTransform(AtLeastSingle):
     p: float = 1.0
     """Probability that a sample gets the weather."""
     nuisances: Mapping[str, Distribution] = {}
-    """What is drawn for each sample beside the weather, by name: ``airlight``, ``effects.camera.exposure_gain.factor``,
+    """Values drawn for each sample beside the weather, by name: ``airlight``, ``effects.camera.exposure_gain.factor``,
     ``sensor.near_full_m``."""
     _given_sensor: Any
     _sensor_is_drawn: bool = False

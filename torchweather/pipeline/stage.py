@@ -15,7 +15,7 @@ __all__ = ["Stage", "State"]
 
 
 class State(Protocol):
-    """What every state can tell about itself."""
+    """Interface of all states."""
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -46,12 +46,12 @@ class Stage(AtLeastSingle):
     writes: ClassVar[tuple[str, ...]] = ()
     """Fields of the state that it changes, likewise."""
     each_beam_alone: ClassVar[bool] = False
-    """Whether a beam of a LiDAR comes out the same whatever the others are, and noise has the beams last."""
+    """True where a beam of a LiDAR comes out the same whatever the others are, and noise has the beams last."""
     of_the_air: ClassVar[bool] = False
-    """Whether all its noise belongs to the weather and not to a sensor (``air_variates``)."""
+    """True where all its noise belongs to the weather and not to a sensor (``air_variates``)."""
 
     takes_keys: ClassVar[bool] = False
-    """Whether its noise may hold the keys of tabulated normals in place of the numbers."""
+    """True where its noise may hold the keys of tabulated normals in place of the numbers."""
 
     def variates(self) -> tuple[Variate, ...]:
         """The standard random numbers that this stage needs; none for a deterministic stage."""

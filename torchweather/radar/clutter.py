@@ -420,7 +420,7 @@ def radial_speed_m_per_s(
 
 
 def _place_among(rising: Tensor, values: Tensor) -> Tensor:
-    """How many of ``rising`` ``(B, n)`` lie below each of ``values`` ``(B, K)``."""
+    """Number of ``rising`` ``(B, n)`` below each of ``values`` ``(B, K)``."""
     if is_exporting():  # ONNX has no search
         return (rising[:, None] < values[..., None]).sum(-1)
     return torch.searchsorted(rising.contiguous(), values.contiguous())

@@ -386,7 +386,7 @@ class RadarAttenuation(WeatherTransform):
     # ---- the border --------------------------------------------------------------------------------------------
 
     def _known(self, points: Tensor, known: Mapping[str, Tensor]) -> dict[str, Any]:
-        """What effects need besides, leading with the flattened batch."""
+        """Further inputs of the effects, leading with the flattened batch."""
         wrong = sorted(set(known) - set(KNOWN))
         if wrong:
             raise InputTypeError(

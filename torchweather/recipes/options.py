@@ -1,4 +1,4 @@
-"""What a recipe says of a transform: its sensor, and its options where they differ from the defaults."""
+"""Values of a recipe's transform: its sensor, and its options where they differ from the defaults."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def with_more_effects(transform: T, effects: Sequence[Effect]) -> T:
 
 
 def _is_default(value: Any, default: Any) -> bool:
-    """Whether a value says what the default says; an empty list is an empty tuple."""
+    """Check whether a value is the default's; an empty list is an empty tuple."""
     if isinstance(value, (list, tuple)) and isinstance(default, (list, tuple)):
         return list(value) == list(default)
     return not isinstance(value, Tensor) and bool(value == default)
@@ -145,7 +145,7 @@ def _plain(name: str, value: Any) -> Any:
 
 
 def _all_default(source: ScenePrior) -> bool:
-    """Whether nothing was given to it."""
+    """Check whether nothing was given to it."""
     return all(getattr(source, one.name) is one.default for one in fields(source))
 
 

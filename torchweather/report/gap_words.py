@@ -357,7 +357,7 @@ def verdict_sentence(answer: Mapping[str, Any]) -> str:
 
 
 def bound_sentence(effect: Mapping[str, Any], parameter: str, end: str) -> str:
-    """What is said of a value that stands at an end of those that are searched.
+    """Sentence on a value that stands at an end of those that are searched.
 
     Args:
         effect: of the answer's ``effects``.

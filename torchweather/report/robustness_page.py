@@ -275,9 +275,9 @@ def _how_to_read(summary: Mapping[str, Any], result: RobustnessResult) -> Sectio
     performance = [f"{measure}: {MEANINGS[measure]}{hit}."]
     if not boxes:
         performance.append(
-            """What the truth gives no class of the detector is not judged. Of a cloud, points that the weather brought
-            belong to no class, so a class predicted there is a false alarm; points that it took are gone, and a class
-            of which it took all has 0."""
+            """Objects to which the truth gives no class of the detector are not judged. Of a cloud, points that the
+            weather brought belong to no class, so a class predicted there is a false alarm; points that it took are
+            gone, and a class of which it took all has 0."""
         )
     if result.resamples:
         performance.append(

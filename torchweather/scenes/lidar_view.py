@@ -203,7 +203,7 @@ def _measured_range(range_m: Tensor, lidar: Lidar, seed: int | None) -> Tensor:
 
 
 def _detected(range_m: Tensor, reflectivity: Tensor, lidar: Lidar) -> Tensor:
-    """Whether a surface of that apparent reflectivity gives a return, the limits of range apart.
+    """Check whether a surface of that apparent reflectivity gives a return, the limits of range apart.
 
     The near-range response is left out: with it, surfaces nearer than ``near_start_m``, which real clouds have, would
     be gone; and with these let through, a dark ring would open behind them where the response begins to rise.

@@ -1,4 +1,4 @@
-"""How surfaces reflect: linear red, green, blue and near-infrared reflectances and their grain, by position.
+"""Reflectances of surfaces: linear red, green, blue and near-infrared reflectances and their grain, by position.
 
 Values are generic: typical diffuse reflectances in the visible (weathered asphalt 0.10-0.15 and worn white paint as in
 Pomerantz et al. 2003, LBNL-53148; vegetation, bark, soil, metals and textiles of the order found in the ECOSTRESS

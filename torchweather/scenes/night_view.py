@@ -23,7 +23,7 @@ RING = 0.5  # of saturation, in the ring of a lamp's pixels, where a lens spread
 
 
 def night_view(scene: Scene, view: SceneView, night: Night) -> SceneView:
-    """What a camera sees of a scene at night in clear air, from its view by day.
+    """View of a scene by a camera at night in clear air, from its view by day.
 
     Each surface keeps its reflectance, the share of the day's light that it shows, and is lit by the own headlamps, by
     the lamps given, and by a faint sky. Lamps cast no shadows. A lamp in the picture saturates its pixels.

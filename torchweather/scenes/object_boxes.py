@@ -81,7 +81,7 @@ def _box(thing: SceneObject, sensor_from_vehicle: Tensor) -> Tensor:
 
 
 def _reach(thing: SceneObject, axes: Tensor, sensor_from_vehicle: Tensor) -> Tensor:
-    """How far the object reaches along each axis of the sensor's frame, ``(K, 3)`` to ``(K,)``."""
+    """Extent of the object along each axis of the sensor's frame, ``(K, 3)`` to ``(K,)``."""
     in_vehicle = axes @ sensor_from_vehicle[:3, :3]
     reach = torch.stack([_shape_reach(part.shape, in_vehicle) for part in thing.parts]).amax(0)
     return reach + axes @ sensor_from_vehicle[:3, 3]

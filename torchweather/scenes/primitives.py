@@ -39,7 +39,7 @@ NEAREST = 1e-4
 
 
 class Shape(Protocol):
-    """What the ray caster asks of a shape."""
+    """Interface of a shape for the ray caster."""
 
     def intersect(self, origin: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
         """First hit: parameter ``t`` ``(N,)`` (``inf`` is a miss) and unit normal towards the viewer ``(N, 3)``.

@@ -43,7 +43,7 @@ def linear_camera(camera: Camera) -> Camera:
 
 
 def raw_frame(scene: Scene, camera: Camera, *, seed: int = 0) -> RawFrame:
-    """What a camera delivers of an embedded scene.
+    """Raw frame of an embedded scene, as a camera delivers it.
 
     Args:
         scene: one of ``torchweather.scenes.SCENES``.

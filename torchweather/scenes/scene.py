@@ -447,7 +447,7 @@ def _spheres(rows: Tensor, origin: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _cone_meets_sphere(unit: Tensor, centre: Tensor, radius: Tensor) -> Tensor:
-    """Which bounding spheres the cone around all rays may meet, ``(parts,)``; without this, each ray asks each part."""
+    """Mask ``(parts,)`` of the bounding spheres that the cone around all rays may meet; it spares tests of each ray."""
     axis = torch.nn.functional.normalize(unit.mean(0), dim=-1)
     # The slack covers rounding of the cosines near 1 (float32: acos(1 - 1e-7) = 5e-4 rad).
     half_angle = torch.acos((unit @ axis).amin().clamp(-1, 1)) + 2e-3
@@ -459,7 +459,7 @@ def _cone_meets_sphere(unit: Tensor, centre: Tensor, radius: Tensor) -> Tensor:
 
 
 def _near_spheres(unit: Tensor, centre: Tensor, radius: Tensor) -> Tensor:
-    """Which rays' lines pass each sphere within its radius, ``(parts, N)``; a little slack keeps rounding harmless."""
+    """Mask ``(parts, N)`` of the rays that pass each sphere within its radius; some slack keeps rounding harmless."""
     distance2 = (centre * centre).sum(-1)
     # Distance^2 - along^2 cancels: its rounding is some 1e-7 of distance^2, the slack adds 1e-6 of it at least.
     reach2 = (1.01 * radius + 1e-3 * distance2.sqrt()) ** 2

@@ -1,4 +1,4 @@
-"""What completed depth sources have in common: the picture as guide, the sky, the result as a scene."""
+"""Common parts of completed depth sources: the picture as guide, the sky, the result as a scene."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def _may_be_map(shape: list[Any] | None) -> bool:
 
 
 def _channels(shape: list[Any]) -> bool:
-    """Whether a map of four sizes has several channels wherever they stand."""
+    """Check whether a map of four sizes has several channels wherever they stand."""
     return not any(size == 1 or not isinstance(size, int) for size in (shape[1], shape[3]))
 
 

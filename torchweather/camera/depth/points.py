@@ -121,7 +121,7 @@ class DepthFromPoints(DepthSource):
         return nearest.to(device=device, dtype=dtype)[None]
 
     def _at_upper_edge(self, seen: Tensor) -> Tensor:
-        """Which of the seen points belong to the scan's highest elevations."""
+        """Mask of the seen points that belong to the scan's highest elevations."""
         x, y, z = self.points_xyz[seen].unbind(-1)
         elevation = torch.atan2(z, torch.hypot(x, y))
         return elevation > elevation.max() - self.upper_edge_rad

@@ -91,7 +91,7 @@ def opened(smooth: Mask, unit: float) -> Mask:
 
 
 def reaches_the_ground(region: Mask, end_row: int, width: int) -> bool:
-    """Whether a region goes on below the horizon as a wall does; fog does so over most of the picture's width."""
+    """Check whether a region goes on below the horizon as a wall does; fog does so over most of the picture's width."""
     if end_row <= 0:
         return True
     below = int(region[end_row:].sum())
@@ -167,7 +167,7 @@ def sky_seeds(cells: Cells) -> Seeds:
 
 
 def fills_the_frame(cells: Cells) -> bool:
-    """Whether one smooth sky-coloured region reaches from the top to nearly all of the bottom: no horizon in view."""
+    """Check whether a smooth sky-coloured region reaches from the top to nearly all of the bottom (no horizon)."""
     from scipy.ndimage import label
 
     is_blue, is_white = sky_coloured(cells, 0.0)

@@ -32,9 +32,9 @@ class DepthSource(ABC):
     """
 
     confidence: ClassVar[str] = EXACT
-    """How sure its depth is: ``exact``, ``measured``, ``completed`` or ``guessed``."""
+    """Certainty of its depth: ``exact``, ``measured``, ``completed`` or ``guessed``."""
     one_picture: ClassVar[bool] = False
-    """Whether it looks at one picture ``(C, H, W)`` at a time; a batch is then given to it picture by picture."""
+    """True where it looks at one picture ``(C, H, W)`` at a time; a batch is then given to it picture by picture."""
 
     @abstractmethod
     def __call__(

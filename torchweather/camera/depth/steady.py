@@ -43,7 +43,7 @@ def reach_of(frame_rate_hz: float) -> int:
 
 
 def is_cut(before: Tensor, after: Tensor) -> bool:
-    """Whether one frame shows another scene than the other: a cut.
+    """Check whether one frame shows another scene than the other: a cut.
 
     Args:
         before: ``(C, H, W)``, uint8, uint16 or float in 0..1.

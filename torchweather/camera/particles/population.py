@@ -759,14 +759,14 @@ def _displaced(points: Tensor, copy: int) -> Tensor:
 
 
 def _own(values: Tensor, sample: Tensor | int | None) -> Tensor:
-    """What belongs to each point's sample, of one row for each sample or one for all; rows are gathered at a cost."""
+    """Values of each point's sample, from one row for each sample or one for all; rows are gathered at a cost."""
     if sample is None or isinstance(sample, int):
         return _row_of(values, sample or 0)
     return values[0] if not is_exporting() and len(values) == 1 else values[sample]
 
 
 def _row_of(values: Tensor, row: int) -> Tensor:
-    """What belongs to one sample, of one row for each sample or one for all."""
+    """Values of one sample, from one row for each sample or one for all."""
     return values[row if len(values) > 1 else 0]
 
 

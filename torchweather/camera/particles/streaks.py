@@ -574,7 +574,7 @@ class _RowsOfMarks:
         return values.index_select(-1, self.mark)
 
     def _along(self, share: Tensor, whole: Tensor) -> Tensor:
-        """What lies in each row, of distribution functions ``(..., R)`` at the rows' lower edges.
+        """Share that lies in each row, from distribution functions ``(..., R)`` at the rows' lower edges.
 
         Args:
             share: the distribution functions, whose last row of each mark is set to ``whole``, ``(..., P)``.

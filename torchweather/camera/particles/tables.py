@@ -1,4 +1,4 @@
-"""What a camera's particle veil needs to know of a precipitation, tabulated once over rate and pixel footprint.
+"""Tables of a precipitation for a camera's particle veil, made once over rate and pixel footprint.
 
 Coordinates. A particle at depth Z covers ``d = D / g`` pixels and moves ``v t / g`` during the exposure, where
 ``g = Z / f`` is the footprint of a pixel in metres per pixel. Everything about one particle's mark depends on
@@ -55,7 +55,7 @@ BOX_OF_DISK = math.sqrt(12 / 16)
 
 @dataclass(frozen=True)
 class MarkOptics:
-    """What decides a particle's mark besides its diameter and depth.
+    """Optics that decide a particle's mark besides its diameter and depth.
 
     Args:
         exposure_s: exposure time.

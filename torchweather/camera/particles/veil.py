@@ -437,7 +437,7 @@ class ParticleVeil(Stage):
         return found
 
     def _falling(self, batch: int) -> list[bool]:
-        """Whether anything falls in each sample; where a rate is learnt, something may."""
+        """Mask of the samples in which something falls; where a rate is learnt, something may."""
         rates = [part.rate_mm_per_h for part in self.parts]
         if any(rate.requires_grad for rate in rates):
             return [True] * batch

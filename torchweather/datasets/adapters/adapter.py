@@ -1,4 +1,4 @@
-"""What the adapters share: which keys of a sample hold sensor data, and arrays as tensors and back."""
+"""Common parts of the adapters: which keys of a sample hold sensor data, and arrays as tensors and back."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def without_lost(cloud: Tensor) -> Tensor:
 
 
 def is_return(cloud: Tensor) -> Tensor:
-    """Which rows of a cloud ``(N, 3 or more)`` are returns, ``(N,)`` bool."""
+    """Mask ``(N,)`` of the rows of a cloud ``(N, 3 or more)`` that are returns."""
     xyz = cloud[:, :3]
     return (xyz != 0).any(1) & torch.isfinite(xyz).all(1)
 

@@ -125,5 +125,5 @@ class CameraFile(FrameFile):
         write_image(self.paths.new(self.file.target), data, like=self.info, png_level=self.job.png_level)
 
     def note(self, result: Any) -> str:
-        """How sure the depth is."""
+        """Certainty of the depth."""
         return f"depth {result.depth_confidence}"

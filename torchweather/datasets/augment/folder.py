@@ -14,7 +14,7 @@ __all__ = ["carried", "kind_of_file", "name_without_ending", "renamed", "sensor_
 
 
 def kind_of_file(path: str, kinds: Collection[str]) -> str | None:
-    """What a file may be, ``camera``, ``lidar`` or ``radar``; of several the one that the recipe is for.
+    """Kind that a file may be of, ``camera``, ``lidar`` or ``radar``; of several the one that the recipe is for.
 
     Example:
         >>> kind_of_file("a/0.npz", ["lidar"]), kind_of_file("a/0.npz", ["camera"]), kind_of_file("a/0.txt", ["lidar"])
@@ -55,7 +55,7 @@ def sensor_frames(paths: Sequence[str], keys: Mapping[str, str], formats: Mappin
 
 
 def carried(paths: Sequence[str], frames: Sequence[Frame]) -> list[Frame]:
-    """What no frame writes, to be copied as it is: one frame a file."""
+    """Files that no frame writes, to be copied as they are: one frame a file."""
     written = {one.path for frame in frames for one in frame.files}
     written |= {path for frame in frames for one in frame.files for path in one.labels}
     written |= {one.target for frame in frames for one in frame.files}

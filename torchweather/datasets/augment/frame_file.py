@@ -91,5 +91,5 @@ class FrameFile(ABC):
         return ""
 
     def boxes(self, result: Any) -> list[dict[str, Any]] | None:
-        """What the weather left of the frame's boxes, where they are counted in this file."""
+        """Remains of the frame's boxes in the weather, where they are counted in this file."""
         return None

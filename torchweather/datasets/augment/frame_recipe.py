@@ -38,7 +38,7 @@ class SensorUse:
 
 
 class FrameRecipe:
-    """What a recipe does, for any size of image.
+    """Work of a recipe for any size of image.
 
     Args:
         recipe: the text of the file, so that every process and machine has the same.

@@ -39,7 +39,7 @@ class SensorFile:
 
 @dataclass(frozen=True)
 class Frame:
-    """What gets one weather, is recorded in one row, and is done whole or not at all.
+    """Unit that gets one weather, is recorded in one row, and is done whole or not at all.
 
     Args:
         name: in the manifest.
@@ -76,7 +76,7 @@ class Frame:
 
     @property
     def is_copy(self) -> bool:
-        """Whether nothing of it sees any weather."""
+        """True where nothing of it sees any weather."""
         return all(one.kind == COPY for one in self.files)
 
 

@@ -16,7 +16,7 @@ __all__ = ["FramePaths", "Job"]
 
 @dataclass(frozen=True)
 class Job:
-    """What to do to all frames; plain values, for processes and machines elsewhere.
+    """Work to be done on all frames; plain values, for processes and machines elsewhere.
 
     Args:
         source: root of the data set.

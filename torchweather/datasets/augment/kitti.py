@@ -76,7 +76,7 @@ class _Group:
 
 
 def is_kitti(paths: Sequence[str]) -> bool:
-    """Whether there are images or clouds in KITTI's folders."""
+    """Check whether there are images or clouds in KITTI's folders."""
     return any(_placed(path) is not None for path in paths)
 
 

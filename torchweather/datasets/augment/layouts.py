@@ -1,4 +1,4 @@
-"""Which layout a folder has, and its frames."""
+"""Layout of a folder, and its frames."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def find_frames(
 
 
 def _is_depth(path: Path, depth: str | None) -> bool:
-    """Whether a file is a depth map that was named: no image, though it may look like one."""
+    """Check whether a file is a depth map that was named: no image, though it may look like one."""
     return depth is not None and Path(depth).exists() and path.resolve().is_relative_to(Path(depth).resolve())
 
 

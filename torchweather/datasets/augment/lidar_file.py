@@ -133,7 +133,7 @@ class LidarFile(FrameFile):
         super().write_clear()
 
     def note(self, result: Any) -> str:
-        """What the rows of a sweep are, and how the beams without return were found."""
+        """Note on the rows of a sweep, and on how the beams without return were found."""
         kinds = torch.bincount(result.kind.long(), minlength=len(PointKind)).tolist()
         named = (
             f"{kinds[PointKind.OBJECT]} objects, {kinds[PointKind.PARTICLE]} particles, {kinds[PointKind.LOST]} lost"

@@ -44,7 +44,7 @@ class LocalEngine:
         """Set to have no more frames begun; those that are under way still come."""
 
     def rows(self, frames: Sequence[Frame]) -> Generator[Row, None, None]:
-        """What became of each frame."""
+        """Outcome of each frame."""
         if self.workers == 0:
             yield from self._here(frames)
         else:

@@ -263,7 +263,7 @@ class Manifest:
 
     @contextmanager
     def _in_words(self) -> Iterator[None]:
-        """What the database says, as the library's errors; a full disk as that of any other file."""
+        """Errors of the database as the library's errors; a full disk as that of any other file."""
         try:
             yield
         except sqlite3.Error as error:

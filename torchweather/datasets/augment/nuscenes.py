@@ -31,7 +31,7 @@ Matrix = npt.NDArray[np.float64]
 
 
 def is_nuscenes(paths: Sequence[str]) -> bool:
-    """Whether there are nuScenes' tables."""
+    """Check whether there are nuScenes' tables."""
     return any(TABLES.match(path) for path in paths)
 
 

@@ -102,7 +102,7 @@ def masks_to_text(masks: Mapping[str, OwnVehicleMask]) -> str:
 
 
 def masks_from_text(text: str) -> dict[str, OwnVehicleMask]:
-    """What `masks_to_text` wrote; none of an empty text."""
+    """Masks of a text that `masks_to_text` wrote; none of an empty text."""
     try:
         values = json.loads(text or "{}")
         return {

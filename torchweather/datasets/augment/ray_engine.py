@@ -42,7 +42,7 @@ class RayEngine:
         self.stopping = False
 
     def rows(self, frames: Sequence[Frame]) -> Generator[Row, None, None]:
-        """What became of each frame."""
+        """Outcome of each frame."""
         ray = _ray()
         own = not ray.is_initialized()
         if own:

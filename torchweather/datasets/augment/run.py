@@ -47,7 +47,7 @@ class Engine(Protocol):
     stopping: bool
 
     def rows(self, frames: list[Frame]) -> Generator[Row, None, None]:
-        """What became of each frame."""
+        """Outcome of each frame."""
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ class Worker:
 
 
 def no_room(error: BaseException | None) -> bool:
-    """Whether an error, or what caused it, says that the disk is full."""
+    """Check whether an error, or its cause, is that of a full disk."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in _NO_ROOM:
             return True

@@ -48,7 +48,7 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Model:
-    """What the measured statistics should be.
+    """Expected values of the measured statistics.
 
     Args:
         predict: ``(parameters (P,), clear statistics (K,)) -> (K,)``, differentiable.

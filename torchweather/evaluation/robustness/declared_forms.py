@@ -36,7 +36,7 @@ DENSE_NMS_IOU = 0.6
 
 @dataclass(frozen=True)
 class DecoderForm:
-    """What a decoder reads.
+    """Form of output that a decoder reads.
 
     Args:
         task: ``boxes`` or ``segmentation``.

@@ -54,7 +54,7 @@ def remarks(result: RobustnessResult) -> list[str]:
 
 
 def _few(count: int, clear: Interval | None) -> str:
-    """How many frames there are, and how far the number can be off."""
+    """Remark on the number of frames, and on how far the result can be off."""
     said = f"{count} frame{'' if count == 1 else 's'} {'is' if count == 1 else 'are'} few"
     if clear is None:
         return f"{said}: there is no interval, and another choice of frames can give other numbers."
@@ -65,7 +65,7 @@ def _few(count: int, clear: Interval | None) -> str:
 
 
 def _rise(each: ConditionResult, result: RobustnessResult) -> str:
-    """Why a weather has a higher performance than clear air, or empty."""
+    """Remark on a weather with a higher performance than clear air, or empty."""
     if math.isnan(each.value) or not each.value > result.clear.value:
         return ""
     one = each.condition

@@ -1,4 +1,4 @@
-"""What a robustness run found."""
+"""Result of a robustness run."""
 
 from __future__ import annotations
 

@@ -192,7 +192,7 @@ def _by_class(drawn: Resampling, values: Mapping[str, NDArray[np.float64]]) -> d
 
 
 def guessed_depth_error(frame: str) -> str:
-    """Why frames of guessed depth are refused, and what to do."""
+    """Error for frames of guessed depth, with the remedy."""
     return (
         f"robustness: the depth of {frame} is guessed, not measured; the numbers would measure the guess. Give --depth "
         "DIR with a map for each frame, or with its LiDAR cloud and --calib FILE, or pass --allow-guessed-depth: the "

@@ -1,4 +1,4 @@
-"""Why a score does not follow its weather: what the numbers of the sweep show, in sentences."""
+"""Reasons why a score does not follow its weather: what the numbers of the sweep show, in sentences."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PLAIN_ERRORS = {"psnr": "the mean squared error", "mde": "the mean distance"}
 
 
 def explain_miss(series: Series, judgement: Judgement) -> list[str]:
-    """What the sweep's own numbers say about a score that does not show the expected trend.
+    """Reasons, from the sweep's own numbers, why a score does not show the expected trend.
 
     Args:
         series: of the scene and weather.
@@ -165,7 +165,7 @@ def _pair_distance(series: Series, wrong: Sequence[int]) -> list[str]:
 
 
 def _others(series: Series, metric: str, wrong: Sequence[int]) -> list[str]:
-    """Whether the plain error goes on rising where this score does not."""
+    """Check whether the plain error goes on rising where this score does not."""
     plain = next((one for one in PLAIN_ERRORS if one in series.scores), metric)
     if metric == plain or not wrong:
         return []

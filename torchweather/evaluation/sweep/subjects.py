@@ -1,4 +1,4 @@
-"""What a sweep puts weather on: one sensor's clear data, how it is rendered, and how it is scored."""
+"""Subject of a sweep: one sensor's clear data, how it is rendered, and how it is scored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which scores of a series get worse as its weather does."""
+"""Scores of a series that get worse as its weather does."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Judgement:
 
     metric: str
     follows: bool
-    """Whether it shows the expected trend."""
+    """True where it shows the expected trend."""
     trend: Trend
     """Of the means, strictly."""
     page_p: float | None

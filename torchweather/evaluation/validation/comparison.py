@@ -1,4 +1,4 @@
-"""How far a simulated score is from a measured one, in units of what chance can do."""
+"""Distance of a simulated score from a measured one, in units of what chance can do."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class ScoreMeaning:
-    """How a score reads.
+    """Reading of a score.
 
     Args:
         higher_is_better: nearer to the clear frame where higher.

@@ -354,7 +354,7 @@ def reference_frame(number: int, start: int, count: int) -> int:
 
 @dataclass(frozen=True)
 class _Clear:
-    """What the clear frames of a scene say of each other."""
+    """Agreement of the clear frames of a scene with each other."""
 
     floor: dict[str, Sample]
     values: list[Values]

@@ -1,4 +1,4 @@
-"""Whether scores get worse with the weather in the simulation as they do in the measurement."""
+"""Agreement of simulation and measurement on scores that get worse with the weather."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class TrendComparison:
     simulated: SceneTrends
 
     def agreement(self, name: str) -> bool | None:
-        """Whether a score gets worse at every step in both, or in neither; None where that is too close to call.
+        """Check whether a score gets worse at every step in both, or in neither; None where that is too close to call.
 
         Too close: one does and the other does not, but frames drawn anew would turn one of them in more than 5 % of
         the draws.

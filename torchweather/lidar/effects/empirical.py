@@ -33,7 +33,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "range_noise": ("object",),
     "returns": ("object", "empty"),
 }
-"""What the curve does, to what it can be done."""
+"""Operations of the curve, by the quantity that each acts on."""
 AXES = (
     *("range_m", "azimuth_rad", "elevation_rad", "cos_incidence", "up", "margin_db", "log_intensity"),
     *("particle_range_m", "every_beam"),

@@ -96,7 +96,7 @@ class LidarIsolatedReturnFilter(Effect):
         }
 
     def _accompanied(self, range_m: Tensor) -> Tensor:
-        """Whether a neighbour has a return within the radius, of ranges ``(B, rows, columns, E)``; each pair once."""
+        """Mask of the returns with one beside them within the radius, ``(B, rows, columns, E)``; each pair once."""
         found = torch.zeros_like(range_m, dtype=torch.bool)
         upper_m, lower_m = range_m[:, :-1], range_m[:, 1:]
         sideways = range_m.shape[2] > 1  # a single column is no neighbour of itself
@@ -110,7 +110,7 @@ class LidarIsolatedReturnFilter(Effect):
         return found
 
     def _near(self, one_m: Tensor, other_m: Tensor) -> tuple[Tensor, Tensor]:
-        """Which echoes of one beam have one of the other within the radius, and the other way round."""
+        """Masks of the echoes of each of two beams that have one of the other within the radius."""
         apart = (one_m[..., :, None] - other_m[..., None, :]).abs()
         near = apart <= self.value("radius_m", apart)
         return near.any(-1), near.any(-2)

@@ -334,5 +334,5 @@ FIELDS = ("range_m", "signal", "kind")
 
 
 def _before(values: Tensor) -> Tensor:
-    """What the row before has, ``(B, N, ...)``; the first row has its own."""
+    """Values of the row before, ``(B, N, ...)``; the first row has its own."""
     return torch.cat([values[:, :1], values[:, :-1]], 1)

@@ -382,7 +382,7 @@ class BeamParticles(nn.Module):
         return torch.exp(self.log_low + self.log_step * row)
 
     def parameters_of_table(self) -> tuple[Tensor, ...]:
-        """What ``between`` depends on besides the beam and the extinction, as far as it can change."""
+        """Parameters of ``between`` besides the beam and the extinction, as far as it can change."""
         return self.rate_mm_per_h, self.q_back
 
     def variates(self) -> tuple[Variate, ...]:
@@ -391,7 +391,7 @@ class BeamParticles(nn.Module):
         return Variate(f"{self.kind}_arrival", "uniform", shape), Variate(f"{self.kind}_place", "uniform", shape)
 
     def _echoes(self, beam: Beam) -> int:
-        """How many particles a beam needs so that more are above threshold with a probability below ``SHARE_MORE``."""
+        """Number of particles above threshold that a beam exceeds with a probability below ``SHARE_MORE``."""
         with torch.no_grad():
             # `expected_above` at the threshold and the farthest range, from the two nodes of the signal beside it.
             row = ((torch.log(beam.threshold) - self.log_low) / self.log_step).clamp(0.0, SIGNAL_NODES - 1)

@@ -339,7 +339,7 @@ class SoftReturn(nn.Module):
         return photons * (beam.threshold / self.photons_at_threshold)
 
     def parameters_of_table(self) -> tuple[Tensor, ...]:
-        """What ``between`` depends on besides the beam and the extinction, as far as it can change."""
+        """Parameters of ``between`` besides the beam and the extinction, as far as it can change."""
         return self.mor_m, self.pulse_length_m, self.photons_at_threshold
 
     def variates(self) -> tuple[Variate, ...]:
@@ -348,5 +348,5 @@ class SoftReturn(nn.Module):
 
 
 def _apart(at: Tensor) -> Tensor:
-    """What lies between one node of the reading and the next, dimension 1; the last: above it."""
+    """Shares between one node of the reading and the next, dimension 1; the last: above it."""
     return (at - torch.cat([at[:, 1:], torch.zeros_like(at[:, :1])], 1)).clamp_min(0.0)

@@ -71,7 +71,7 @@ def beam_heights_m(
 
 
 def _number_below(rising: Tensor, values: Tensor) -> Tensor:
-    """How many entries of a rising row lie below each value."""
+    """Number of entries of a rising row below each value."""
     if is_exporting():
         return (values[..., None] > rising).sum(-1)
     return torch.bucketize(values, rising)

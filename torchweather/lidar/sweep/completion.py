@@ -139,7 +139,7 @@ def complete_scan(
 
 
 def _as_many_as_rows(row_ring: Tensor, there: Tensor, found_ring: Tensor) -> Tensor:
-    """Which beams stay ``(M,)``, so that no ring has more than the file has rows without a return.
+    """Mask ``(M,)`` of the beams that stay, so that no ring has more than the file has rows without a return.
 
     A file with a row for every beam (nuScenes) has as many rows on every ring, and so says how many returned nothing.
     Where its points are compensated for motion, gaps are too wide by a percent.

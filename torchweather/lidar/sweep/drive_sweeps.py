@@ -1,4 +1,4 @@
-"""Which sweeps of a drive stand for all of them."""
+"""Choice of the sweeps that stand for a whole drive."""
 
 from __future__ import annotations
 

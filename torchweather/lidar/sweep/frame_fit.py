@@ -90,7 +90,7 @@ class FrameOffset:
 
     @property
     def stands_apart(self) -> bool:
-        """Whether the sensor stands beside the cloud's origin, seen from above."""
+        """Check whether the sensor stands beside the cloud's origin, seen from above."""
         return bool(np.hypot(*self.origin_m) > _LEAST_SHIFT_M >= np.hypot(*self.motion_m))
 
 

@@ -47,7 +47,7 @@ class QuickFrame:
 
     @property
     def moves(self) -> bool:
-        """Whether the sensor moved during the turn."""
+        """True where the sensor moved during the turn."""
         return float(np.hypot(*self.motion_m)) > _MOVES_M
 
     @property

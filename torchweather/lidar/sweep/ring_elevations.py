@@ -83,7 +83,7 @@ def rings_from_elevations(xyz: Numbers, rings: int | None = None) -> Integers | 
 
 
 def _stand_apart(xyz: Numbers, ring: Integers, fit: ConeFit, rings: int | None) -> bool:
-    """Whether the cones explain the points and are no halves of one ring."""
+    """Check whether the cones explain the points and are no halves of one ring."""
     if rings is not None and len(fit.count) != rings:
         return False
     off = np.abs(cone_residual_deg(xyz, ring, fit)) > _NEAR_DEG

@@ -68,7 +68,7 @@ class SensorOrigin:
 
     @property
     def is_apart(self) -> bool:
-        """Whether the cloud is surely in another frame than its sensor's."""
+        """Check whether the cloud is surely in another frame than its sensor's."""
         x, y, z = self.origin_m
         beside_m, error_m = float(np.hypot(x, y)), float(np.hypot(*self.error_m[:2]))
         # Compensation for motion moves the tip by up to its way, whatever moment it refers to.

@@ -73,7 +73,7 @@ def window_correlation(window: Tensor) -> tuple[float, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Cfar:
-    """What both detectors share: the window, the noise in it, and the factor of each range column."""
+    """Common parts of both detectors: the window, the noise in it, and the factor of each range column."""
 
     false_alarm_rate: float = 1e-4
     guard: tuple[int, int] = (2, 2)

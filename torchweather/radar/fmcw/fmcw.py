@@ -269,7 +269,7 @@ class FmcwRadar(AtLeastSingle):
     # ---- pieces ------------------------------------------------------------------------------------------------
 
     def _variates(self) -> dict[str, tuple[Variate, ...]]:
-        """What is drawn, by the name of its stream."""
+        """Variates that are drawn, by the name of their stream."""
         found = {f"{kind}_volume": volume.variates() for kind, volume in self._volumes().items()}
         if self.noise:
             shape = (self.radar.virtual_channels, self.radar.chirps, self.radar.samples)
@@ -280,7 +280,7 @@ class FmcwRadar(AtLeastSingle):
         return dict(self.volumes.items())  # type: ignore[arg-type]
 
     def _loss_db(self, scatterers: Scatterers) -> Tensor:
-        """What path and cover take of each scatterer's echo, dB."""
+        """Loss of each scatterer's echo on its path and at the cover, dB."""
         range_m = scatterers.range_m
         loss = self.radome.two_way_db(len(range_m)).to(range_m)[:, None].expand(range_m.shape)
         return loss if self.path is None else loss + self.path.two_way_db(range_m)
