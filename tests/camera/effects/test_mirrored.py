@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from tests.camera.effects.camera_effect_scene import H, W, begin, camera, rain_in_fog
+from torchweather.camera.effects.air import CameraWetSurface
 from torchweather.camera.effects.mirrored import seen_along
 from torchweather.camera.state import CameraState
 
@@ -48,6 +49,17 @@ def test_above_the_picture_stands_the_mean_of_its_upper_part(beyond: int, mosaic
         assert float(found[v, u]) == pytest.approx(box_mean(plane, u // step, beyond), rel=1e-6), (v, u)
 
 
+@pytest.mark.parametrize("mosaic", [False, True])
+def test_a_lamp_is_mirrored_where_a_ray_meets_it_alone(mosaic: bool) -> None:
+    picture, lamps = torch.full((H, W), 0.1, dtype=torch.float64), torch.zeros(1, 1, H, W, dtype=torch.float64)
+    lamps[..., 2:4, 10:12] = 1e4
+    down, aside = torch.meshgrid(torch.arange(H).double(), torch.arange(W).double(), indexing="ij")
+    state = state_of(picture, mosaic)
+    assert float(seen_along(state, toward(down, aside), lamps)[0, 0, 3, 11]) == pytest.approx(1e4 + 0.1)
+    above = seen_along(state, toward(-1.0 - 2.0 * down, aside), lamps)
+    torch.testing.assert_close(above, torch.full_like(above, 0.1))
+
+
 def test_rays_above_the_picture_show_no_bands() -> None:
     """Columns of random brightness: their spread falls with the box's width, and joins the edge without a step."""
     shades = torch.rand(W, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
@@ -60,3 +72,23 @@ def test_rays_above_the_picture_show_no_bands() -> None:
     middle = slice(8, W - 8)
     # The mean of 2 d + 1 independent columns has a deviation of 1 / sqrt(2 d + 1) of theirs.
     assert float(found[7, middle].std() / shades[middle].std()) < 1.6 / 15**0.5
+
+
+def test_water_on_a_guessed_ground_mirrors_as_level() -> None:
+    """A pixel whose normal points aside would mirror another place: the guess's ground is flat."""
+    state = begin(rain_in_fog(), batch=1, dtype=torch.float64)
+    normal = torch.zeros(1, 3, H, W, dtype=torch.float64)
+    normal[:, 2] = 1.0
+    shades = torch.rand(H, W, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    ground = torch.ones(1, 1, H, W, dtype=torch.float64)
+    state = state.changed(signal=shades[None, None], normal=normal, ground=ground, cfa_index=None)
+    wet = CameraWetSurface(darkening=0.0, mirror=1.0)
+    level = wet(state, {}).image.signal
+    tilted = normal.clone()
+    tilted[0, :, 5, 7] = torch.tensor([0.8, 0.0, 0.6], dtype=torch.float64)
+    at_edge = wet(state.changed(normal=tilted), {}).image.signal
+    own, mirrored = shades[5, 7], level[0, 0, 5, 7]
+    # 0.6 of the mirror's share is left where the normal is 0.6 upright; its direction is that of the level ground.
+    assert float(at_edge[0, 0, 5, 7]) == pytest.approx(float(own + 0.6 * (mirrored - own)), rel=1e-6)
+    found = wet(state.changed(normal=tilted, ground=None), {}).image.signal[0, 0, 5, 7]
+    assert abs(float(found - at_edge[0, 0, 5, 7])) > 1e-3  # a measured slope mirrors its own direction

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import torchweather as tw
-from torchweather.camera.night.found_lamps import found_lamps
+from torchweather.camera.night.found_lamps import found_lamps, lamp_in_view
 from torchweather.camera.night.lamps import Lamp, Night
 from torchweather.core.errors import TorchweatherError, TorchweatherWarning
 from torchweather.physics import sphere_budget
@@ -104,6 +104,25 @@ def test_a_given_lamp_is_where_its_position_says_and_one_behind_is_no_error() ->
     found = linear(tw.Fog(80.0), Night(own="none", lamps=lamps), light, depth, airlight=0.0)
     assert divmod(int(found[1].argmax()), 192) == (pytest.approx(71.5, abs=1.0), pytest.approx(95.5 - 15.0, abs=1.0))
     assert float(found[1, 71, 80]) > 10 * float(found[1, 71, 150])
+
+
+def test_a_lamp_in_the_picture_shows_its_beam_towards_the_camera() -> None:
+    size, night = (144, 192), Night(own="none")
+
+    def level(**beam: object) -> float:
+        seen = lamp_in_view(Lamp((40.0, 0.0, 1.5), 20_000.0, **beam), size, CAMERA, night)  # at the camera's height
+        assert seen is not None
+        assert seen.signal[0] == seen.signal[2]
+        return seen.signal[1]
+
+    plain = level()
+    assert level(beam="rear", heading_rad=math.pi) == pytest.approx(plain, rel=1e-12)
+    assert level(beam="rear", heading_rad=math.pi - 1.0) == pytest.approx(math.cos(1.0) * plain, rel=1e-9)
+    assert level(beam="rear") == 0.0  # it shines away
+    # Horizontally a low beam keeps its stray light of 1.5 %, and sigmoid(-0.57 / 0.15) = 0.022 of the hot spot's
+    # exp(-0.5) and the apron's 0.15 exp(-0.5).
+    dipped = 0.015 + (0.6065 + 0.15 * 0.6065) / (1.0 + math.exp(0.57 / 0.15))
+    assert level(beam="low_beam", heading_rad=math.pi) == pytest.approx(dipped * plain, rel=1e-3)
 
 
 @pytest.mark.filterwarnings("ignore:NightLamps. a lamp at")  # at the lens, for a closed form

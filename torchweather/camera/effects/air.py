@@ -21,6 +21,7 @@ from torchweather.camera.effects.particles import per_sample
 from torchweather.camera.fog import FADING_COLOUR, FARTHEST_M, OPAQUE, rays
 from torchweather.camera.mosaic_blur import gaussian_blur, phases, spacing_px, whole
 from torchweather.camera.state import CameraState
+from torchweather.camera.surfaces import ROAD_UP, ROAD_UP_RAMP
 from torchweather.core.random import Variate
 from torchweather.lidar.effects.air import transmittance_into_water
 from torchweather.pipeline.effect import Effect, Parameter
@@ -329,7 +330,7 @@ class CameraWetSurface(Effect):
     }
     needs: ClassVar[tuple[str, ...]] = ("camera", "normal")
     reads: ClassVar[tuple[str, ...]] = (
-        *("scene.damp", "scene.intrinsics", "scene.normal", "scene.pool"),
+        *("scene.damp", "scene.ground", "scene.intrinsics", "scene.normal", "scene.pool"),
         "air.lamp_excess",
         "image.signal",
         *("receiver.camera", "receiver.cfa_index"),
@@ -343,7 +344,7 @@ class CameraWetSurface(Effect):
         x, y = rays(state)
         upright = state.scene.normal.to(state.image.signal)
         turn = upright.new_tensor(state.receiver.camera.camera_from_vehicle())
-        normal = torch.einsum("ij,bjhw->bihw", turn, upright)  # in the camera's frame
+        normal = torch.einsum("ij,bjhw->bihw", turn, _of_water(upright, state.scene.ground))  # in the camera's frame
         direction = torch.cat([x, y, torch.ones_like(x)], 1)
         direction = direction / torch.linalg.vector_norm(direction, dim=1, keepdim=True)
         cosine = -(direction * normal).sum(1, keepdim=True)
@@ -352,7 +353,19 @@ class CameraWetSurface(Effect):
         wet = wet if state.scene.damp is None else wet * state.scene.damp
         share = self.value("mirror", state.image.signal) * smooth * (1.0 - transmittance_into_water(cosine))
         own = state.image.signal * (1.0 - self.value("darkening", state.image.signal) * wet)
-        lit = state
-        if state.air.lamp_excess is not None:  # a lamp's mirror image is as bright as the lamp
-            lit = state.changed(signal=state.image.signal + state.air.lamp_excess)
-        return {"signal": torch.lerp(own, seen_along(lit, direction + 2.0 * cosine * normal), share)}
+        # A lamp's mirror image is as bright as the lamp.
+        mirrored = seen_along(state, direction + 2.0 * cosine * normal, state.air.lamp_excess)
+        return {"signal": torch.lerp(own, mirrored, share)}
+
+
+def _of_water(normal: Tensor, ground: Tensor | None) -> Tensor:
+    """Normals ``(B, 3, H, W)`` of what water lies on: on a guessed ground the mean of its level pixels for all.
+
+    At the edges of guessed objects normals point anywhere, and single pixels would mirror a lamp.
+    """
+    if ground is None:
+        return normal
+    level = ground.to(normal) * (normal[:, 2:] > ROAD_UP + ROAD_UP_RAMP)
+    mean = (level * normal).sum((2, 3), keepdim=True)
+    length = torch.linalg.vector_norm(mean, dim=1, keepdim=True)
+    return torch.where(length > 0.0, mean / length.clamp_min(1e-12), normal)

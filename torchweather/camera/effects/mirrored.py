@@ -14,7 +14,7 @@ __all__ = ["seen_along"]
 EDGE_LEVELS = 10
 
 
-def seen_along(state: CameraState, direction: Tensor) -> Tensor:
+def seen_along(state: CameraState, direction: Tensor, lamps: Tensor | None = None) -> Tensor:
     """The picture in other directions, in the planes of the state's signal.
 
     Where a ray passes d pixels above the upper edge, the mean of the picture within d rows below that edge and d
@@ -24,6 +24,8 @@ def seen_along(state: CameraState, direction: Tensor) -> Tensor:
     Args:
         state: with the signal and the camera.
         direction: ``(B, 3, H, W)`` in the camera's frame.
+        lamps: light beyond saturation, as the signal. It is seen where a ray meets it and is no part of the means: one
+            lamp near the upper edge would whiten all of them.
     """
     assert state.receiver.camera is not None
     height, width = state.image.signal.shape[-2:]
@@ -35,24 +37,27 @@ def seen_along(state: CameraState, direction: Tensor) -> Tensor:
     column = (x * fx + cx).clamp(0.0, width - 1.0)
     row = (y * fy + cy).clamp_max(height - 1.0).expand_as(state.one_plane)
     column = column.expand_as(row)
+    signal = state.image.signal
+    shown = signal if lamps is None else signal + lamps
     if state.receiver.cfa_index is None:
-        return _at(state.image.signal, row, column)
-    found, planes = [], phases(state.image.signal)
+        return _at(shown, signal, row, column)
+    found, planes, edges = [], phases(shown), phases(signal)
     for phase in range(4):
         down, aside = divmod(phase, 2)
         own = (..., slice(down, None, 2), slice(aside, None, 2))
-        found.append(_at(planes[:, phase : phase + 1], (row[own] - down) / 2.0, (column[own] - aside) / 2.0))
+        place = (row[own] - down) / 2.0, (column[own] - aside) / 2.0
+        found.append(_at(planes[:, phase : phase + 1], edges[:, phase : phase + 1], *place))
     return whole(torch.cat(found, 1))
 
 
-def _at(picture: Tensor, row: Tensor, column: Tensor) -> Tensor:
-    """A picture ``(B, C, H, W)`` at places ``(B, 1, h, w)`` in its pixels, above its upper edge by `_edge_means`."""
+def _at(picture: Tensor, edge: Tensor, row: Tensor, column: Tensor) -> Tensor:
+    """A picture ``(B, C, H, W)`` at places ``(B, 1, h, w)`` in its pixels, above it by `_edge_means` of another."""
     height, width = picture.shape[-2:]
     across = column[:, 0] / max(width - 1, 1) * 2.0 - 1.0
     inside = _sampled(picture, across, row[:, 0] / max(height - 1, 1) * 2.0 - 1.0)
     above = -row
     level = torch.log2(1.0 + above.clamp_min(0.0))
-    beyond = _sampled(_edge_means(picture), across, level[:, 0] / (EDGE_LEVELS - 1) * 2.0 - 1.0)
+    beyond = _sampled(_edge_means(edge), across, level[:, 0] / (EDGE_LEVELS - 1) * 2.0 - 1.0)
     return torch.where(above > 0.0, beyond, inside)
 
 

@@ -170,19 +170,26 @@ def _lit_by(own: Sequence[Lamp], at: Lamp) -> float:
     """Illuminance by the own headlamps, lux, at the place of a lamp."""
     lux = 0.0
     for lamp in own:
-        forward, left, up = (a - b for a, b in zip(at.position_m, lamp.position_m, strict=True))
-        azimuth = torch.tensor(math.atan2(left, forward) - lamp.heading_rad)
-        elevation = torch.tensor(math.atan2(up, math.hypot(forward, left)) - lamp.tilt_rad)
-        square_m2 = max(forward**2 + left**2 + up**2, 0.01)
-        lux += lamp.intensity_cd * float(beam_share(lamp.beam, azimuth, elevation)) / square_m2
+        offset = np.array(at.position_m) - lamp.position_m
+        lux += _candela_towards(lamp, offset) / max(float((offset**2).sum()), 0.01)
     return lux
+
+
+def _candela_towards(lamp: Lamp, offset: Array) -> float:
+    """Luminous intensity of a lamp in the direction of an offset from it, cd."""
+    forward, left, up = offset.tolist()
+    azimuth = math.atan2(left, forward) - lamp.heading_rad
+    azimuth = math.atan2(math.sin(azimuth), math.cos(azimuth))
+    elevation = math.atan2(up, math.hypot(forward, left)) - lamp.tilt_rad
+    angles = (torch.tensor(angle, dtype=torch.float64) for angle in (azimuth, elevation))
+    return lamp.intensity_cd * float(beam_share(lamp.beam, *angles))
 
 
 def _signal(lamp: Lamp, pixels: int, camera: Camera, night: Night) -> tuple[float, float, float]:
     """Mean light of each pixel: the illuminance ``I / R^2``, spread over the solid angle of the pixels."""
-    offset = np.array(lamp.position_m) - [0.0, 0.0, camera.height_m]
+    offset = np.array([0.0, 0.0, camera.height_m]) - lamp.position_m
     square_m2 = float((offset**2).sum())
     solid_angle_sr = pixels / (camera.fx * camera.fy)
-    level = lamp.intensity_cd / square_m2 / solid_angle_sr / night.saturation_cd_per_m2
+    level = _candela_towards(lamp, offset) / square_m2 / solid_angle_sr / night.saturation_cd_per_m2
     red, green, blue = (level * one for one in lamp.colour)
     return red, green, blue
