@@ -358,3 +358,13 @@ def test_cuda_sees_what_the_processor_sees(track: LidarView) -> None:
     view = lidar_view(test_track(), LIDAR, directions=scan().cuda())
     same = torch.isclose(view.points.cpu()[:, :4], track.points[:, :4], rtol=1e-4, atol=1e-5).all(-1)
     assert same.float().mean() > 0.998
+
+
+@pytest.mark.parametrize(("column", "width"), [(4, 5), (5, 6), (7, 8)])
+def test_a_sensor_of_speeds_sees_a_scene_at_rest(column: int, width: int) -> None:
+    directions = torch.tensor([[1.0, 0.0, -0.04], [1.0, 0.0, 0.5]])
+    plain = lidar_view(test_track(), LIDAR, directions=directions).points
+    points = lidar_view(test_track(), replace(LIDAR, speed_column=column), directions=directions).points
+    assert points.shape == (2, width)
+    assert torch.equal(points[:, :4], plain[:, :4])
+    assert not points[:, column].any()

@@ -33,7 +33,8 @@ class LidarView:
 
     Args:
         points: x, y, z in the LiDAR's frame (metres), intensity in the sensor's unit, ring, ``(N, 5)``; a beam
-            without return has 0 but for the ring. An unknown ring is -1.
+            without return has 0 but for the ring. An unknown ring is -1. ``Lidar.speed_column`` holds 0 m/s, in
+            place of the ring where it is column 4.
         directions: unit direction of every beam in the LiDAR's frame, ``(N, 3)``.
         grid: rings and columns of an organised scan; ``None`` where the directions came without.
         label: `SceneLabel` of what the beam's axis meets, ``(N,)`` int64; also where that is too faint or too far
@@ -141,7 +142,7 @@ def lidar_view(
     intensity = torch.where(hit, reported_intensity(reflectivity, torch.where(hit, range_m, none + 1), lidar), none)
     boxes, box_object_id = object_boxes(scene, torch.linalg.inv(pose))
     return LidarView(
-        points=torch.cat([xyz, intensity[:, None], _rings(len(beams), grid, beams)[:, None]], -1),
+        points=_at_rest(torch.cat([xyz, intensity[:, None], _rings(len(beams), grid, beams)[:, None]], -1), lidar),
         directions=beams,
         grid=grid,
         label=label,
@@ -169,6 +170,15 @@ def _beams(lidar: Lidar, directions: Tensor | None) -> tuple[Tensor, tuple[int, 
     if unit.ndim == 3:
         return unit.reshape(-1, 3), (unit.shape[0], unit.shape[1])
     return unit, pattern if pattern is not None and math.prod(pattern) == len(unit) else None
+
+
+def _at_rest(points: Tensor, lidar: Lidar) -> Tensor:
+    """Points ``(N, 5)`` with a column of speeds where the sensor measures them: scene and vehicle stand."""
+    if lidar.speed_column is None:
+        return points
+    points = torch.nn.functional.pad(points, (0, max(0, lidar.speed_column + 1 - points.shape[1])))
+    points[:, lidar.speed_column] = 0.0
+    return points
 
 
 def _in_laser_light(scene: Scene, wavelength_nm: float) -> Scene:
