@@ -15,6 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import torch
 from gallery_entries import CLEAR, SETUP, Entry, entries
@@ -26,12 +27,15 @@ from readme_cloud import FLAKE, LOST, NIGHT, OBJECT, seen_by_eye
 import torchweather as tw
 from torchweather.image import develop
 from torchweather.io import atomic_write
+from torchweather.radar.power_map import noise_floor_db
+from torchweather.report.map_picture import from_above
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "images" / "gallery"
 TABLE = FOLDER / "gallery.json"
 QUALITY = 72
 CLOUD_PX, PLOT_PX, DPI = (480, 220), (480, 220), 100
+MAP_PX, MAP_DB = 480, (-5.0, 50.0)
 RADAR_LIMITS = {"xlabel": "range in m", "ylabel": "power in dBm"}
 
 
@@ -84,11 +88,13 @@ def picture_of(entry: Entry) -> Image.Image:
     exec(compile(entry.code, entry.name, "exec"), names)
     clear = entry.name.endswith(CLEAR)
     if entry.sensor == "camera":
-        if clear and entry.code:  # of a preset
+        if clear and "view" in names:  # of a preset
             return as_picture(develop(names["view"].bayer, names["camera"].bayer_pattern))
         return as_picture(names["image" if clear else "picture"])
     if entry.sensor == "lidar":
         return cloud(names["view"], None if clear else names["result"])
+    if "wet" in names:
+        return power_map(names["clear" if clear else "wet"])
     return powers(names["points"], None if clear else names["result"])
 
 
@@ -139,6 +145,16 @@ def powers(points: torch.Tensor, result: Any) -> Image.Image:
     axes.set(**RADAR_LIMITS, xlim=(0, 80), ylim=(-140, -80))
     axes.legend(loc="upper right", fontsize=8, frameon=False)
     return pixels(figure).quantize(48, dither=Image.Dither.NONE).convert("RGB")
+
+
+def power_map(shown: Any) -> Image.Image:
+    """A power map from above, forward up: dB over the noise, of the middle of the map."""
+    grid = from_above(shown, MAP_PX) - noise_floor_db(shown)
+    height = PLOT_PX[1]
+    strip = grid[(MAP_PX - height) // 2 :][:height].clamp(*MAP_DB).nan_to_num(MAP_DB[0])
+    share = (strip - MAP_DB[0]) / (MAP_DB[1] - MAP_DB[0])
+    coloured = (255.0 * mpl.colormaps["magma"](share.numpy())[..., :3]).round().astype(np.uint8)
+    return Image.fromarray(coloured).quantize(48, dither=Image.Dither.NONE).convert("RGB")
 
 
 def canvas(size_px: tuple[int, int], colour: str, place: tuple[float, float, float, float]) -> tuple[Figure, Any]:

@@ -101,8 +101,7 @@ rain = tw.BayerRain(tw.Rain(25.0), camera)
 picture = develop(rain(view.bayer, view.depth_m, seed=7), camera.bayer_pattern)
 """,
     "lidar": """\
-sensor = tw.Lidar.preset("{name}"{columns})
-view = lidar_view(test_track(), sensor)
+{sensor}view = lidar_view(test_track(), sensor)
 weather = tw.LidarSnow(tw.Snow(1.0), sensor)
 result = weather.run(view.points, weather.draw(view.points, seed=7), directions=view.directions)
 """,
@@ -141,10 +140,56 @@ weather = load_recipe("{name}", sensor=simulator.list_sensor)
 result = weather.run(points, weather.draw(points, seed=7))
 """,
 }
+# Made-up scan patterns of presets that have none.
+RASTERS = {
+    "waymo-top": """\
+elevations_deg = [2.4 - 20.0 / 63 * row for row in range(64)]
+sensor = tw.Lidar.preset("waymo-top", elevations_deg=elevations_deg, columns=256)
+""",
+    "generic-1550nm": """\
+elevations_deg = [7.5 - 0.25 * row for row in range(64)]
+azimuths_deg = [60.0 - 0.75 * column for column in range(161)]
+sensor = tw.Lidar.preset("generic-1550nm", elevations_deg=elevations_deg, azimuths_deg=azimuths_deg)
+""",
+    "aeva-aevascenes-wide": """\
+elevations_deg = [7.5 - 0.25 * row for row in range(64)]
+azimuths_deg = [55.0 - 0.6875 * column for column in range(161)]
+sensor = tw.Lidar.preset("aeva-aevascenes-wide", elevations_deg=elevations_deg, azimuths_deg=azimuths_deg)
+""",
+}
+POWER_MAP = """\
+import sys
+
+sys.path.insert(0, "examples")
+from radar_map_in_rain import made_up
+
+clear = made_up()
+radar = tw.Radar.preset("{name}")
+rain = tw.RadarMapWeather(tw.Rain(50.0), radar, axes=clear.axes, scale=clear.scale)
+wet = rain.of_map(clear, seed=7)
+"""
 EFFECT_PICTURES: dict[str, Mapping[str, Any]] = {
     "camera": camera_pictures.PICTURES,
     "lidar": {**lidar_pictures.PICTURES, **lidar_structure.PICTURES, **lidar_surfaces.PICTURES},
     "radar": radar_pictures.PICTURES,
+}
+NIGHT = """\
+import sys
+
+sys.path.insert(0, "docs/_figures")
+from night_photograph import night_street
+
+day, image, camera, scene, night = night_street(560)
+"""
+PUT_ON_AT_NIGHT = """\
+weather = tw.AsBayer(tw.BayerWeather({weather}, camera, night=night, scattering="multiple"))
+picture = weather(image, scene, weather.draw(image, seed=7))
+"""
+NIGHT_WEATHERS = {
+    "Fog of 60 m": "tw.Fog(60.0)",
+    "Rain of 25 mm/h": "tw.Rain(25.0)",
+    "Rain of 25 mm/h, wet road": "tw.Mixture(tw.Rain(25.0), tw.WetRoad(puddles=0.5))",
+    "Snow of 2 mm/h": "tw.Snow(2.0)",
 }
 # Weathers beside the severities: title and expression.
 WEATHERS = {
@@ -205,6 +250,8 @@ def entries() -> Iterator[Entry]:
         yield from severities(sensor)
         for title, weather in WEATHERS[sensor].items():
             yield weathered(f"{sensor}-{slug(title)}", sensor, "More weathers", title, weather)
+        if sensor == "camera":
+            yield from nights()
         yield from effects(sensor)
         yield from presets(sensor)
         yield from recipes(sensor)
@@ -217,6 +264,15 @@ def severities(sensor: str) -> Iterator[Entry]:
         title = f"{kind.capitalize()}, severity {condition.severity}: {condition.value:g} {UNITS[kind]}"
         name = f"{sensor}-{kind}-{condition.severity}"
         yield weathered(name, sensor, f"{kind.capitalize()} in five severities", title, expression(condition.weather))
+
+
+def nights() -> Iterator[Entry]:
+    """Weathers on the photograph relit as by night, compared with clear air by night."""
+    before = f"camera-night-{CLEAR}"
+    for title, weather in NIGHT_WEATHERS.items():
+        code = NIGHT + PUT_ON_AT_NIGHT.format(weather=weather)
+        yield Entry(f"camera-night-{slug(title)}", "camera", "Night, on the day photograph relit", title, code, before)
+    yield Entry(before, "camera", "", "clear air", NIGHT + "picture = image\n", "")
 
 
 def weathered(name: str, sensor: str, group: str, title: str, weather: str) -> Entry:
@@ -251,28 +307,31 @@ def without_effect(sensor: str, weather: str, lines: str) -> Entry:
 
 
 def presets(sensor: str) -> Iterator[Entry]:
-    """Every preset that can scan a scene, in one weather, compared with clear air."""
+    """Every preset in one weather, compared with clear air."""
     weather = {"camera": "rain of 25 mm/h", "lidar": "snow of 1 mm/h", "radar": "rain of 50 mm/h"}
-    group = f"Presets in {weather[sensor]}"
-    for name in PRESETS[sensor]:
-        wanted = scene_of(sensor, name)
-        if wanted is not None:
-            code = PRESET[sensor].format(name=name, **wanted)
-            before = f"{sensor}-preset-{slug(name)}-{CLEAR}"
-            yield Entry(f"{sensor}-preset-{slug(name)}", sensor, group, name, code, before)
-            yield Entry(before, sensor, "", "clear air", code, "")
+    group = f"Presets on embedded scenes, in {weather[sensor]}"
+    for name, fields in PRESETS[sensor].items():
+        wanted, title = size_of(sensor, name), name
+        if sensor == "lidar":
+            wanted["sensor"] = RASTERS.get(name, f'sensor = tw.Lidar.preset("{name}"{wanted["columns"]})\n')
+            title += ", made-up scan pattern" if name in RASTERS else ""
+        code = PRESET[sensor].format(name=name, **wanted)
+        if fields.get("chirps") == 1:  # turns and gives power maps, no detections
+            code, title = POWER_MAP.format(name=name), f"{name}: power map of a made-up street"
+        before = f"{sensor}-preset-{slug(name)}-{CLEAR}"
+        yield Entry(f"{sensor}-preset-{slug(name)}", sensor, group, title, code, before)
+        yield Entry(before, sensor, "", "clear air", code, "")
 
 
-def scene_of(sensor: str, preset: str) -> dict[str, Any] | None:
-    """Size at which a preset looks at the embedded scene; ``None`` for a sensor that cannot."""
+def size_of(sensor: str, preset: str) -> dict[str, Any]:
+    """Size at which a preset looks at the embedded scene: a camera's picture, the columns of a LiDAR."""
     fields = PRESETS[sensor][preset]
     if sensor == "camera":
         scale = min(WIDTH_PX / fields["width"], HEIGHT_PX / fields["height"])
         return {side: 2 * round(scale * fields[side] / 2) for side in ("width", "height")}
     if sensor == "lidar":
-        many = fields.get("columns", 0) > COLUMNS
-        return {"columns": f", columns={COLUMNS}" if many else ""} if "elevations_deg" in fields else None
-    return {} if fields["chirps"] > 1 else None  # a radar that turns gives power maps, no detections
+        return {"columns": f", columns={COLUMNS}" if fields.get("columns", 0) > COLUMNS else ""}
+    return {}
 
 
 def recipes(sensor: str) -> Iterator[Entry]:
@@ -280,7 +339,7 @@ def recipes(sensor: str) -> Iterator[Entry]:
     for recipe in list_recipes(kind="transform"):
         if recipe.name.startswith(f"{sensor}/"):
             preset = yaml.safe_load(recipe.path.read_text(encoding="utf-8"))["sensor"]["preset"]
-            code = RECIPE[sensor].format(name=recipe.name, preset=preset, **(scene_of(sensor, preset) or {}))
+            code = RECIPE[sensor].format(name=recipe.name, preset=preset, **size_of(sensor, preset))
             name = f"recipe-{slug(recipe.name)}"
             yield Entry(name, sensor, "", recipe.title, code, f"{sensor}-preset-{slug(preset)}-{CLEAR}")
 

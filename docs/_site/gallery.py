@@ -12,15 +12,11 @@ from pictures import read_table, slider
 
 TITLES = {"camera": "Camera", "lidar": "LiDAR", "radar": "Radar"}
 ABOUT = {
-    "camera": "Weathers and effects are on one photograph of guessed depth. Presets look at the embedded test track.",
+    "camera": "Weathers and effects are on one photograph of guessed depth. At night it is relit: it was taken by day.",
     "lidar": "The embedded test track from behind the sensor: objects grey, particles orange, lost objects blue.",
-    "radar": "Detections of the embedded test track: power against range.",
+    "radar": "Detections of the embedded test track: power against range. A radar that turns maps a made-up street.",
 }
-NOT_SHOWN = {
-    "camera": "",
-    "lidar": "Presets without a scan pattern have no picture, because a scan needs one.",
-    "radar": "The preset that turns has no picture, because it gives [power maps](../how-to/radar-images.md).",
-}
+OF_PRESETS = "Presets named after a data set see embedded scenes as its sensor does; no picture is a recording."
 MORE = {
     "camera": "[What each effect does to statistics](../effects-camera.md); [night](../how-to/night-scenes.md).",
     "lidar": "[What each effect does to statistics](../effects-lidar.md).",
@@ -43,7 +39,7 @@ def page(sensor: str, table: dict[str, Any]) -> str:
         f"# Gallery: {TITLES[sensor]}",
         "",
         f"{ABOUT[sensor]} Drag a slider: clear air, or the weather without the effect, is on its left.",
-        f"Each picture has the lines that made it. These come first, in a clone. {NOT_SHOWN[sensor]}".rstrip(),
+        f"Each picture has the lines that made it. These come first, in a clone. {OF_PRESETS}",
         "",
         *code(table["setup"][sensor]),
         "",
