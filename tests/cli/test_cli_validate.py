@@ -90,3 +90,17 @@ def test_mistakes_are_one_line(arguments: list[str], said: str, tmp_path: Path, 
     assert said in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_named_effects_stand_on_the_page(tmp_path: Path, capsys: Capture) -> None:
+    arguments = ["validate", "scene:test-track", "--sensor", "radar", "--metrics", "power_change_db", "--quiet"]
+    effects = ["--power-effects", "radar.wet_rcs, radar.range_migration"]
+    assert main([*arguments, *effects, "--out", str(tmp_path)]) == 0
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "Effects that these frames could have shown" in page
+    assert "gain_db, dB" in page
+    assert "Not tried. radar.range_migration: " in page
+    assert "effects" not in str(capsys.readouterr().err)
+    for given, said in ((",", "must name an effect or more"), ("radar.wet_rc", "must be one of")):
+        assert main([*arguments, "--power-effects", given, "--out", str(tmp_path)]) == 2
+        assert said in capsys.readouterr().err

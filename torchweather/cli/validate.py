@@ -18,7 +18,8 @@ DESCRIPTION = """Simulates every condition of a study folder: frames measured in
 same scene. Scores measured and simulated frames against clear ones, and writes a page. The page has pictures side by
 side, scores with the floor of clear against clear frames, trends, run time, and what the study lacks. For each
 comparison it states the smallest change of rate or visibility that the same frames would have flagged with 80 %
-power. Frames that could not show a factor of 2 decide nothing. The page shows what disagrees, not why.
+power. Frames that could not show a factor of 2 decide nothing. --power-effects adds the smallest strength of named
+effects that they would have flagged. The page shows what disagrees, not why.
 scene:test-track is a study that the library makes of an embedded scene, without any measurement."""
 
 SCENE = "scene:"  # begins the name of an embedded scene
@@ -36,6 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="simulate no other rates: three times as fast, but then nothing is called agreement",
     )
+    parser.add_argument(
+        "--power-effects",
+        metavar="EFFECTS",
+        help="ids joined by commas, such as lidar.window_loss, or all: the smallest strength of each that these frames "
+        "would have flagged; all of them take several times as long",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
 
 
@@ -48,13 +55,18 @@ def run(args: argparse.Namespace) -> int:
     from torchweather.report.validation_page import write_validation
 
     self_check = args.study.startswith(SCENE)
-    names = None if args.metrics is None else [name.strip() for name in args.metrics.split(",") if name.strip()]
+    names = None if args.metrics is None else _split(args.metrics)
+    effects = _split(args.power_effects or "")
     if names is not None and not names:
         raise InputValueError("validate: --metrics must name a score or more, such as psnr,ssim; got none.")
+    if args.power_effects is not None and not effects:
+        raise InputValueError("validate: --power-effects must name an effect or more, or all; got none.")
     study = _study(args)
     shown = not args.quiet and sys.stderr.isatty()
     with tqdm(total=len(study.conditions), desc="conditions", disable=not shown, leave=False) as bar:
-        validation = validate(study, seed=args.seed, names=names, step=bar.update, power=not args.no_power)
+        validation = validate(
+            study, seed=args.seed, names=names, step=bar.update, power=not args.no_power, effects=effects
+        )
     for finding in validation.findings:
         if finding.level == "error":
             note(str(finding), quiet=args.quiet)
@@ -64,6 +76,10 @@ def run(args: argparse.Namespace) -> int:
     else:
         print_lines(f"{validation.verdict()}\nwrote {args.out / 'index.html'}")
     return 0
+
+
+def _split(names: str) -> list[str]:
+    return [name.strip() for name in names.split(",") if name.strip()]
 
 
 def _study(args: argparse.Namespace) -> Study:

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from torchweather.atmosphere.weather import Weather
 from torchweather.evaluation.validation.comparison import FAMILY_LEVEL, UNDECIDED, Comparison
+from torchweather.evaluation.validation.effect_power import EffectStrength
 from torchweather.evaluation.validation.power import FACTOR, FURTHER, POWER
 from torchweather.evaluation.validation.run import ConditionResult, Validation
 from torchweather.evaluation.validation.severity import TrendComparison, knob_value
@@ -104,6 +105,7 @@ def validation_page(study: Study, validation: Validation, summary: Mapping[str, 
         ],
         sections=[
             *_power(validation),
+            *_effects(validation),
             Section("Side by side", link_pictures(study, validation) if is_link else side_by_side(study, validation)),
             _scores(groups, names, validation, is_link=is_link),
             *_trends(validation, named=len(study.scenes) > 1 or is_link),
@@ -187,6 +189,49 @@ def _factors(changes: tuple[float, float]) -> tuple[str, str]:
     below, above = changes
     low = NO_VALUE if math.isnan(below) else f"× {below:.2f}" if below > 0 else f"below {1 / FURTHER:g}"
     return low, NO_VALUE if math.isnan(above) else f"× {above:.2f}" if math.isfinite(above) else f"above {FURTHER:g}"
+
+
+def _effects(validation: Validation) -> list[Section]:
+    """The smallest strength of each effect that each condition would have shown."""
+    results = [each for each in validation.conditions if each.effects or each.not_tried]
+    if not results:
+        return []
+    text = f"""The smallest strength of each effect that the same frames would have flagged with {100 * POWER:.0f} %
+        power, if it acted on the measured frames alone. One parameter is varied from its identity, the others keep
+        their defaults. Typical is the size that the catalogue states. A value after "more than" or "beyond" was
+        simulated, and would not have been flagged."""
+    found: dict[str, dict[str, EffectStrength]] = {}
+    for result in results:
+        for each in result.smallest_effects:
+            found.setdefault(each.effect, {})[result.id] = each
+    rows = [
+        (
+            name,
+            *_varied(next(iter(own.values()))),
+            *(_strength(own[result.id]) if result.id in own else NO_VALUE for result in results),
+        )
+        for name, own in found.items()
+    ]
+    several = len({each.scene for each in results}) > 1
+    heads: parts.Heads = [parts.Column("Effect", "left"), parts.Column("Parameter", "left"), "Typical"]
+    heads += [f"{each.scene}: {each.label}" if several else each.label for each in results]
+    reasons = {name: why for result in results for name, why in result.not_tried.items()}
+    notes = [parts.Note(f"Not tried. {name}: {why}") for name, why in reasons.items()]
+    table = [parts.Table(heads, rows)] if rows else []
+    return [
+        Section("Effects that these frames could have shown", [parts.Paragraph(text), *table, *notes], id="effects")
+    ]
+
+
+def _varied(one: EffectStrength) -> tuple[str, str]:
+    return one.parameter + (f", {one.unit}" if one.unit else ""), f"{one.typical:.3g}"
+
+
+def _strength(one: EffectStrength) -> str:
+    """Smallest value that is flagged; the farthest one that is not."""
+    if math.isfinite(one.strength):
+        return f"{one.value:.3g}"
+    return f"{'beyond' if one.most < one.typical else 'more than'} {one.most:.3g}"
 
 
 # ---- scores ----------------------------------------------------------------------------------------------------------

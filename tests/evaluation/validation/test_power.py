@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -13,13 +14,17 @@ from scipy import stats
 
 from tests.gap import studies
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather
+from torchweather.core.errors import InputValueError
 from torchweather.evaluation.validation.comparison import Comparison, Sample, Shift
+from torchweather.evaluation.validation.effect_power import named_effects
 from torchweather.evaluation.validation.frame_scores import ScoreMeaning, frame_scores
 from torchweather.evaluation.validation.power import changed_weather, crossing, detection_probability
 from torchweather.evaluation.validation.run import Validation, validate
 from torchweather.gap.study import embedded
 from torchweather.gap.study.embedded import embedded_study
-from torchweather.gap.study.study import Study
+from torchweather.gap.study.simulation import simulate
+from torchweather.gap.study.study import Frame, Study
+from torchweather.stages.catalogue import EFFECTS
 
 MEANING = ScoreMeaning(False, "m")
 
@@ -191,3 +196,95 @@ def test_what_a_mask_leaves_out_does_not_count(kind: str) -> None:
     masked = {**scene.geometry, "mask": mask}
     assert score(odd, clear, masked) == score(clear, clear, masked)
     assert score(odd, clear, scene.geometry) != score(clear, clear, scene.geometry)
+
+
+# ---- named effects ---------------------------------------------------------------------------------------------------
+
+
+def test_the_values_of_an_effect_at_its_strengths() -> None:
+    """By hand, from the sizes of the catalogue."""
+    found = {each.id: each for kind in ("lidar", "camera") for each in named_effects(kind, ["all"], "test")}
+    assert found["lidar.window_loss"].text(0.25) == "loss_db = 0.5"
+    assert found["camera.extinction_scale"].value(1.0) == pytest.approx(math.exp(0.5))
+    assert found["camera.height_fog"].value(4.0) == pytest.approx(5.0)  # nothing where it is infinitely high
+    assert found["lidar.last_return"].strength(4.0) == pytest.approx(2.0)  # a probability ends at 1
+    light = found["camera.airlight_scale"].at(1.0).config()
+    assert light == pytest.approx(dict.fromkeys(("red", "green", "blue"), math.exp(0.2)), rel=1e-6)
+    assert "lidar.snow_cover" not in found
+    assert [each.id for each in named_effects("lidar", ["lidar.snow_cover"], "test")] == ["lidar.snow_cover"]
+    with pytest.raises(InputValueError, match=r"effect must be one of .*got 'lidar.window_los'"):
+        named_effects("lidar", ["lidar.window_los"], "test")
+    with pytest.raises(InputValueError, match="frames of a sensor; got a study of links"):
+        named_effects("link", ["all"], "test")
+
+
+def test_power_against_an_effect_is_that_against_the_same_change() -> None:
+    found = compared(0.0, 1.6)
+    assert found.shifts is not None
+    half = replace(found.shifts[1], factor=1.0)
+    found = replace(found, effects={"lidar.window_loss": (half, replace(half, factor=4.0))})
+    assert found.power_of_effect("lidar.window_loss", 1.0) == pytest.approx(found.power(2.0))
+    least = found.smallest_strength("lidar.window_loss")
+    assert least == math.inf or found.power_of_effect("lidar.window_loss", least) == pytest.approx(0.8, abs=0.02)
+    strong = replace(compared(0.0, 5.0), effects={"a": (replace(compared(0.0, 5.0).shifts[1], factor=1.0),)})  # type: ignore[index]
+    assert strong.power_of_effect("a", strong.smallest_strength("a")) == pytest.approx(0.8, abs=0.02)
+    assert 0.0 < strong.smallest_strength("a") < 1.0
+
+
+EFFECT_IDS = ["radar.wet_rcs", "radar.volume_clutter", "radar.range_migration"]
+
+
+def test_an_effect_of_the_stated_strength_is_flagged() -> None:
+    """Known answer: measured frames that have the effect at three times the smallest strength differ."""
+    study = ten_frames("radar", WHOLE[1:2])
+    found = validate(study, seed=2, names=["power_change_db", "power_rmse_db"], effects=EFFECT_IDS)
+    condition = found.conditions[0]
+    gain, clutter = condition.smallest_effects
+    assert (gain.effect, gain.parameter, gain.unit, gain.typical) == ("radar.wet_rcs", "gain_db", "dB", 2.0)
+    assert 0.0 < gain.value < 8.0
+    assert gain.score == "power_change_db"
+    assert clutter.strength == math.inf  # echoes of drops are no targets
+    assert clutter.score == ""
+    assert list(condition.not_tried) == ["radar.range_migration"]
+    for value, verdicts in ((3.0 * gain.value, {"differs"}), (0.0, {"agrees", "not decided"})):
+        effect = EFFECTS["radar.wet_rcs"](gain_db=value)
+        own = study.conditions[0]
+        wet = [simulate(study, own, seed=77, number=number, effects=[effect]) for number in range(len(own.frames))]
+        with_effect = validate(with_frames(study, wet), seed=2, names=["power_change_db"], power=False)
+        assert {with_effect.conditions[0].scores[0].verdict} <= verdicts
+    stated = json.loads(json.dumps(found.to_dict(), allow_nan=False))["conditions"][0]
+    assert stated["smallest_effects_flagged"][0]["value"] == pytest.approx(gain.value)
+    assert stated["scores"][0]["effects"]["radar.wet_rcs"]["smallest_strength"] == pytest.approx(gain.strength)
+
+
+def with_frames(study: Study, frames: Sequence[Frame]) -> Study:
+    """A study with other measured frames of its first condition."""
+    scene, first = study.scenes["test-track"], study.conditions[0]
+    return Study.from_arrays(
+        kind=study.kind,
+        sensor=study.sensor,
+        beams=study.beams or None,
+        scenes=[{"id": "s0", "clear": list(scene.clear), "geometry": scene.geometry}],
+        conditions=[{"id": first.id, "scene": "s0", "weather": first.weather, "frames": list(frames)}],
+    )
+
+
+def test_effects_need_power() -> None:
+    with pytest.raises(InputValueError, match="effects are for the power"):
+        validate(ten_frames("radar", WHOLE[1:2]), effects=["all"], power=False)
+
+
+@pytest.mark.parametrize("kind", ["camera", "lidar", "radar"])
+def test_an_effect_at_its_identity_changes_no_simulated_frame(kind: str) -> None:
+    study = ten_frames(kind, WHOLE[1:2])
+    condition = study.conditions[0]
+    tried = named_effects(kind, [f"{kind}.{IDENTITIES[kind]}"], "test")[0]
+    plain = simulate(study, condition, seed=3)
+    for strength, same in ((0.0, True), (4.0, False)):
+        frame = simulate(study, condition, seed=3, effects=[tried.at(strength)])
+        # A range is the length of a vector there: the last digit of float32 on 100 m.
+        pairs = [np.allclose(frame[key], plain[key], atol=1e-4, equal_nan=True) for key in plain]
+        assert all(pairs) is same
+
+
+IDENTITIES = {"camera": "exposure_gain", "lidar": "wet_target", "radar": "wet_radome"}

@@ -26,6 +26,14 @@ MUTANTS = (
         (f"{POWER_TESTS}::test_power_is_the_share_of_drawn_studies_that_differ",),
     ),
     Mutant(
+        "effect_of_another_strength",
+        "an effect is simulated at the strength that is stated",
+        "torchweather.evaluation.validation.run",
+        "found = scored(EFFECT_FRAMES, [tried.at(strength)])",
+        "found = scored(EFFECT_FRAMES, [tried.at(20.0 * strength)])",
+        (f"{POWER_TESTS}::test_an_effect_of_the_stated_strength_is_flagged",),
+    ),
+    Mutant(
         "one_way_of_two",
         "the light of a LiDAR loses the extinction there and back",
         "torchweather.evaluation.fit.path_line",

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from torchweather.evaluation.validation.frame_scores import ScoreMeaning
-from torchweather.evaluation.validation.power import FACTOR, POWER, crossing, detection_probability
+from torchweather.evaluation.validation.power import FACTOR, POWER, crossing, detection_probability, smallest
 
 __all__ = ["FAMILY_LEVEL", "Comparison", "Sample", "Shift", "judged"]
 
@@ -50,11 +51,11 @@ class Sample:
 
 @dataclass(frozen=True)
 class Shift:
-    """Scores at another rate or visibility than the recorded one.
+    """Scores at another rate or visibility than the recorded one, or with an effect.
 
     Args:
-        factor: by which the rate or the visibility is multiplied.
-        recorded, changed: scores of simulated frames at the recorded weather and at the changed one, frame by frame
+        factor: by which the rate or the visibility is multiplied; of an effect its strength in typical sizes.
+        recorded, changed: scores of simulated frames at the recorded weather and of the changed ones, frame by frame
             with the same clear frame and the same random numbers.
     """
 
@@ -103,6 +104,7 @@ class Comparison:
         level: chance of calling a difference where there is none.
         shifts: scores at other rates or visibilities, from which the power follows. Empty: the power is unknown, and
             nothing is decided but differences. ``None``: there is nothing to change, as in clear air.
+        effects: scores with an effect, by its id, from which the power against it follows.
     """
 
     name: str
@@ -113,6 +115,7 @@ class Comparison:
     paired: bool = False
     level: float = FAMILY_LEVEL
     shifts: tuple[Shift, ...] | None = None
+    effects: Mapping[str, tuple[Shift, ...]] = field(default_factory=dict)
 
     @property
     def gap(self) -> float:
@@ -162,7 +165,27 @@ class Comparison:
         By the noncentral t distribution at the study's own frame numbers. Between simulated factors, change and scatter
         are interpolated over the logarithm. The scatter is the larger one of measured and simulated frames.
         """
-        shift, error, freedom = self._if_changed(factor)
+        return self._flagged(*self._if_changed(factor))
+
+    def power_of_effect(self, effect: str, strength: float) -> float:
+        """Probability of a difference if the measured frames had an effect that the simulation lacks.
+
+        Args:
+            effect: its id, one of ``effects``.
+            strength: in typical sizes. Between simulated ones, change and scatter are interpolated.
+        """
+        return self._flagged(*self._if_shifted(strength, [(each.factor, each) for each in self.effects[effect]]))
+
+    def smallest_strength(self, effect: str) -> float:
+        """Strength of an effect, in typical sizes, that the frames would have flagged with 80 % power.
+
+        Infinite where none of the simulated ones would have been.
+        """
+        strengths = [each.factor for each in self.effects[effect]]
+        return smallest(strengths, lambda strength: self.power_of_effect(effect, strength))
+
+    def _flagged(self, shift: float, error: float, freedom: float) -> float:
+        """Probability that a change of the score is called a difference."""
         bound = float(stats.t.isf(self.level / 2, freedom)) if math.isfinite(freedom) else math.nan
         return detection_probability(shift, error, bound, freedom)
 
@@ -192,8 +215,11 @@ class Comparison:
 
     def _if_changed(self, factor: float) -> tuple[float, float, float]:
         """Change of the score at a factor, standard error of the gap there, and degrees of freedom."""
-        x = math.log(factor)
-        known = sorted((math.log(each.factor), each) for each in self.shifts or () if each.factor != 1)
+        known = [(math.log(each.factor), each) for each in self.shifts or () if each.factor != 1]
+        return self._if_shifted(math.log(factor), known)
+
+    def _if_shifted(self, x: float, known: Sequence[tuple[float, Shift]]) -> tuple[float, float, float]:
+        """The same at a place between those of simulated changes; nothing is changed at 0."""
         places = [0.0, *(place for place, _ in known)]
         values = [(0.0, self._deviation(None)), *((each.mean, self._deviation(each)) for _, each in known)]
         at_x = [value for place, value in zip(places, values, strict=True) if math.isclose(place, x, abs_tol=1e-9)]
@@ -275,6 +301,20 @@ class Comparison:
             "gap_share_of_effect": self.share_of_effect,
             "verdict": self.verdict,
             "power": self._power_dict(),
+            "effects": {name: self._effect_dict(name) for name in self.effects},
+        }
+
+    def _effect_dict(self, name: str) -> dict[str, Any]:
+        return {
+            "smallest_strength": self.smallest_strength(name),
+            "at_strengths": [
+                {
+                    "strength": each.factor,
+                    "change_of_score": each.mean,
+                    "power": self.power_of_effect(name, each.factor),
+                }
+                for each in self.effects[name]
+            ],
         }
 
     def _power_dict(self) -> dict[str, Any] | None:

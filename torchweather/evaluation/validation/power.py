@@ -1,4 +1,4 @@
-"""Power of a comparison: the changes of rate or visibility that frames as many as these would have flagged."""
+"""Power of a comparison: the changes of weather and effects that frames as many as these would have flagged."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy import special
 from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import InputValueError
 
-__all__ = ["FACTOR", "FURTHER", "POWER", "changed_weather", "crossing", "detection_probability"]
+__all__ = ["FACTOR", "FURTHER", "POWER", "changed_weather", "crossing", "detection_probability", "smallest"]
 
 POWER = 0.8  # Cohen, Statistical Power Analysis for the Behavioral Sciences (1988): the usual demand
 # A study that would not show a rate or a visibility wrong by this factor, either way, decides nothing.
@@ -21,7 +21,7 @@ FACTOR = 2.0
 # Simulated as well where no score of a condition shows FACTOR.
 FURTHER = 4.0
 NODES = 256  # midpoints of equal probability: 0.8 comes out within 0.002 of the noncentral t
-HALVINGS = 10  # of the logarithm of a factor: to a thousandth
+HALVINGS = 10  # of a strength, or of the logarithm of a factor: to a thousandth
 
 
 def detection_probability(shift: float, error: float, bound: float, freedom: float) -> float:
@@ -64,15 +64,33 @@ def crossing(factors: Sequence[float], probability: Callable[[float], float]) ->
     """
     if not factors:
         return math.nan
-    near = sorted(factors, key=lambda factor: abs(math.log(factor)))
-    flagged = [factor for factor in near if probability(factor) >= POWER]
+    side = math.copysign(1.0, math.log(factors[0]))
+    found = smallest([abs(math.log(factor)) for factor in factors], lambda away: probability(math.exp(side * away)))
+    return math.exp(side * found)
+
+
+def smallest(strengths: Sequence[float], probability: Callable[[float], float]) -> float:
+    """Smallest strength at which a probability reaches ``POWER``.
+
+    Args:
+        strengths: simulated ones, above 0.
+        probability: of detection at a strength between 0 and the largest.
+
+    Returns:
+        The strength, to a thousandth of the weakest of those that are flagged; infinite where none is.
+
+    Example:
+        >>> round(smallest([1.0, 4.0], lambda strength: float(strength >= 2.0)), 2)
+        2.0
+    """
+    flagged = [strength for strength in sorted(strengths) if probability(strength) >= POWER]
     if not flagged:
-        return math.inf if near[0] > 1 else 0.0
-    low, high = 0.0, math.log(flagged[0])
+        return math.inf
+    low, high = 0.0, flagged[0]
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        low, high = (low, middle) if probability(math.exp(middle)) >= POWER else (middle, high)
-    return math.exp(high)
+        low, high = (low, middle) if probability(middle) >= POWER else (middle, high)
+    return high
 
 
 def changed_weather(weather: Weather, factor: float) -> Weather | None:

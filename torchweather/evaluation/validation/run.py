@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -26,6 +26,7 @@ from torchweather.evaluation.validation.comparison import (
     Shift,
     judged,
 )
+from torchweather.evaluation.validation.effect_power import STRENGTHS, EffectStrength, TriedEffect, named_effects
 from torchweather.evaluation.validation.frame_scores import FrameScores, frame_scores
 from torchweather.evaluation.validation.link_scores import compared_links
 from torchweather.evaluation.validation.power import FACTOR, FURTHER, POWER, changed_weather
@@ -35,12 +36,14 @@ from torchweather.gap.diagnosis import Finding, diagnose
 from torchweather.gap.sensors.link.study_kind import rain_attenuation_db
 from torchweather.gap.study.simulation import simulate, start_frame
 from torchweather.gap.study.study import Condition, Frame, Study, StudyScene
+from torchweather.pipeline.effect import Effect
 
 __all__ = ["ConditionResult", "Validation", "reference_frame", "validate"]
 
 Step = Callable[[int], object]
 # Frames simulated at another rate or visibility: change and scatter of a score are scaled to the study's own numbers.
 POWER_FRAMES = 8
+EFFECT_FRAMES = 4  # the same with an effect: there are many of them
 SMALL_FRAME = 1 << 18  # values: operations on its float32 arrays of 1 MB take less than waking a pool of threads
 
 
@@ -55,6 +58,8 @@ class ConditionResult:
         scores: in the order of the study's scores.
         quantities: distributions of scalar quantities.
         simulation_s: seconds for each simulated frame; the first of a weather and sensor sets the transform up.
+        effects: that were tried, for the power against them.
+        not_tried: effect to the reason why these frames cannot have it.
     """
 
     id: str
@@ -66,6 +71,8 @@ class ConditionResult:
     scores: tuple[Comparison, ...]
     quantities: tuple[Quantity, ...]
     simulation_s: tuple[float, ...]
+    effects: tuple[TriedEffect, ...] = ()
+    not_tried: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
@@ -87,6 +94,16 @@ class ConditionResult:
             return None
         return max(below for below, _ in known), min(above for _, above in known)
 
+    @property
+    def smallest_effects(self) -> tuple[EffectStrength, ...]:
+        """For each effect that was tried, the smallest strength that the most sensitive score would have shown."""
+        found = []
+        for tried in self.effects:
+            strength, score = min((each.smallest_strength(tried.id), each.name) for each in self.scores)
+            most = max(each.factor for each in self.scores[0].effects[tried.id])
+            found.append(EffectStrength.of(tried, strength, most, score))
+        return tuple(found)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
         return {
@@ -98,6 +115,8 @@ class ConditionResult:
             "frames": self.frames,
             "verdict": self.verdict,
             "smallest_factors_flagged": self.smallest_change,
+            "smallest_effects_flagged": [each.to_dict() for each in self.smallest_effects],
+            "effects_not_tried": dict(self.not_tried),
             "scores": [score.to_dict() for score in self.scores],
             "quantities": [quantity.to_dict() for quantity in self.quantities],
             "simulation_s": [round(seconds, 6) for seconds in self.simulation_s],
@@ -227,6 +246,7 @@ def validate(
     names: Sequence[str] | None = None,
     step: Step | None = None,
     power: bool = True,
+    effects: Sequence[str] = (),
 ) -> Validation:
     """Compare simulated frames with measured ones, both by their scores against clear frames.
 
@@ -243,6 +263,8 @@ def validate(
         names: of the scores; ``None``: all that the frames can have. Not for links.
         step: told of each condition done.
         power: False simulates no other rates, in a third of the time; then nothing is called agreement.
+        effects: ids of effects, or ``all``, whose smallest strength that these frames would have flagged is computed. A
+            hint of what the study can show; no verdict depends on it. Not for links, nor without ``power``.
 
     Returns:
         Scores, distributions, trends over severity, and what the study lacks.
@@ -260,7 +282,13 @@ def validate(
         >>> found.counts()["differ"]
         0
     """
-    found, trends, left_out = COMPARED.get(study.kind, _frames)(study, seed, names, step or (lambda _: None), power)
+    tried = named_effects(study.kind, effects, "validate")
+    if tried and not power:
+        raise InputValueError(
+            "validate: effects are for the power of a comparison; got power=False. Leave one of them out."
+        )
+    work = Work(seed, names, step or (lambda _: None), power, tried)
+    found, trends, left_out = COMPARED.get(study.kind, _frames)(study, work)
     return Validation(
         kind=study.kind,
         seed=seed,
@@ -272,6 +300,17 @@ def validate(
     )
 
 
+@dataclass(frozen=True)
+class Work:
+    """What `validate` is asked for; fields as its arguments."""
+
+    seed: int
+    names: Sequence[str] | None
+    step: Step
+    power: bool
+    effects: Sequence[TriedEffect]
+
+
 def _threads_for(study: Study) -> AbstractContextManager[None]:
     """One thread for each of torch's operations where frames are small: its pool would wait longer than it works."""
     frame = study.conditions[0].frames[0]
@@ -279,21 +318,21 @@ def _threads_for(study: Study) -> AbstractContextManager[None]:
     return one_thread_an_operation() if small else nullcontext()
 
 
-def _frames(study: Study, seed: int, names: Sequence[str] | None, step: Step, power: bool) -> Compared:
+def _frames(study: Study, work: Work) -> Compared:
     """Every frame against a clear one."""
-    scores, found = frame_scores(study, names), []
+    scores, found = frame_scores(study, work.names), []
     with _threads_for(study):
         clear = {name: _clear(study, scene, scores) for name, scene in study.scenes.items()}
         for condition in study.conditions:
-            found.append(_condition(study, condition, scores, clear[condition.scene], seed, power))
-            step(1)
+            found.append(_condition(study, condition, scores, clear[condition.scene], work))
+            work.step(1)
     levels = [(one.scene, one.weather, each.scores) for one, each in zip(study.conditions, found, strict=True)]
-    return found, compared_trends(levels, seed), scores.left_out
+    return found, compared_trends(levels, work.seed), scores.left_out
 
 
-def _links(study: Study, seed: int, names: Sequence[str] | None, step: Step, power: bool) -> Compared:
+def _links(study: Study, work: Work) -> Compared:
     """Links by classes of rain."""
-    if names is not None:
+    if work.names is not None:
         raise InputValueError(
             "validate: names is for frames; links are scored by their attenuation alone. Leave it out."
         )
@@ -302,9 +341,9 @@ def _links(study: Study, seed: int, names: Sequence[str] | None, step: Step, pow
         simulated, seconds = [], []
         for number in range(len(condition.frames)):
             started = time.perf_counter()
-            simulated.append(simulate(study, condition, seed=seed, number=number))
+            simulated.append(simulate(study, condition, seed=work.seed, number=number))
             seconds.append(time.perf_counter() - started)
-        rain = [_rain_changed(study, simulated, factor) for factor in LINK_FACTORS if power]
+        rain = [_rain_changed(study, simulated, factor) for factor in LINK_FACTORS if work.power]
         classes = compared_links(list(condition.frames), simulated, dict(zip(LINK_FACTORS, rain, strict=False)))
         result = ConditionResult(
             **{**_about(condition), "label": condition.id},  # the record of the rain is in the frames
@@ -314,8 +353,8 @@ def _links(study: Study, seed: int, names: Sequence[str] | None, step: Step, pow
             simulation_s=tuple(seconds),
         )
         found.append(result)
-        trends += class_trends(condition.id, classes, seed)
-        step(1)
+        trends += class_trends(condition.id, classes, work.seed)
+        work.step(1)
     return found, trends, {}
 
 
@@ -375,10 +414,8 @@ def _clear(study: Study, scene: StudyScene, scores: FrameScores) -> _Clear:
     return _Clear(floor, [values_of(study, frame) for frame in frames])
 
 
-def _condition(
-    study: Study, condition: Condition, scores: FrameScores, clear: _Clear, seed: int, power: bool
-) -> ConditionResult:
-    scene = study.scene_of(condition)
+def _condition(study: Study, condition: Condition, scores: FrameScores, clear: _Clear, work: Work) -> ConditionResult:
+    scene, seed = study.scene_of(condition), work.seed
     found: dict[str, list[dict[str, float]]] = {"measured": [], "simulated": []}
     values: dict[str, list[Values]] = {"measured": [], "simulated": []}
     seconds = []
@@ -401,15 +438,31 @@ def _condition(
         )
         for name, meaning in scores.meanings.items()
     )
+    tried: dict[str, TriedEffect] = {}
+    not_tried: dict[str, str] = {}
     if condition.weather is not None:
-        at = partial(_scores_at, study, condition, scores, seed)
-        compared = _with_power(compared, found["simulated"], at) if power else _without_power(compared)
+        # At its share of the level if every comparison can be judged, which is what the power is stated for.
+        level = FAMILY_LEVEL / (len(study.conditions) * len(compared))
+        compared = tuple(replace(each, level=level, shifts=()) for each in compared)
+        if work.power:
+            compared = _with_power(compared, found["simulated"], partial(_scores_at, study, condition, scores, seed))
+        for one in work.effects:
+            try:
+                compared = _with_effect(
+                    compared, found["simulated"], one, partial(_scored, study, condition, scores, seed)
+                )
+            except InputValueError as error:  # frames without what the effect needs, such as normals of surfaces
+                not_tried[one.id] = str(error)
+            else:
+                tried[one.id] = one
     return ConditionResult(
         **_about(condition),
         frames=len(condition.frames),
         scores=compared,
         quantities=compared_quantities(values["measured"], values["simulated"], clear.values),
         simulation_s=tuple(seconds),
+        effects=tuple(tried.values()),
+        not_tried=not_tried,
     )
 
 
@@ -422,19 +475,56 @@ def _scores_at(study: Study, condition: Condition, scores: FrameScores, seed: in
     weather = changed_weather(condition.weather, factor)
     if weather is None:
         return None
-    scene, changed, found = study.scene_of(condition), replace(condition, weather=weather), []
-    for number in range(min(len(condition.frames), POWER_FRAMES)):
-        start = start_frame(study, changed, seed=seed, number=number)
+    return _scored(study, replace(condition, weather=weather), scores, seed, POWER_FRAMES)
+
+
+def _scored(
+    study: Study, condition: Condition, scores: FrameScores, seed: int, most: int, effects: Sequence[Effect] = ()
+) -> Scores:
+    """Scores of at most ``most`` simulated frames, with the draws and clear frames of those of the recorded weather."""
+    scene, found = study.scene_of(condition), []
+    for number in range(min(len(condition.frames), most)):
+        start = start_frame(study, condition, seed=seed, number=number)
         reference = scene.clear[reference_frame(number, start, len(scene.clear))]
-        found.append(scores.score(simulate(study, changed, seed=seed, number=number), reference, scene.geometry))
+        frame = simulate(study, condition, seed=seed, number=number, effects=effects)
+        found.append(scores.score(frame, reference, scene.geometry))
     return found
+
+
+def _with_effect(
+    compared: tuple[Comparison, ...], recorded: Scores, tried: TriedEffect, scored: Callable[..., Scores]
+) -> tuple[Comparison, ...]:
+    """The comparisons with an effect of its typical size, and a weaker one where that is flagged, else a stronger."""
+    typical, weaker, stronger = (tried.strength(each) for each in STRENGTHS)
+    compared = _with_strength(compared, recorded, tried, typical, scored)
+    flagged = any(each.power_of_effect(tried.id, typical) >= POWER for each in compared)
+    further = weaker if flagged else stronger
+    # The bounds of a parameter may allow no more.
+    return compared if further == typical else _with_strength(compared, recorded, tried, further, scored)
+
+
+def _with_strength(
+    compared: tuple[Comparison, ...],
+    recorded: Scores,
+    tried: TriedEffect,
+    strength: float,
+    scored: Callable[..., Scores],
+) -> tuple[Comparison, ...]:
+    found = scored(EFFECT_FRAMES, [tried.at(strength)])
+
+    def shift(name: str) -> Shift:
+        return Shift(strength, _sample(recorded[: len(found)], name), _sample(found, name))
+
+    return tuple(
+        replace(each, effects={**each.effects, tried.id: (*each.effects.get(tried.id, ()), shift(each.name))})
+        for each in compared
+    )
 
 
 def _with_power(
     compared: tuple[Comparison, ...], recorded: Scores, at: Callable[[float], Scores | None]
 ) -> tuple[Comparison, ...]:
     """The comparisons with scores at half and twice the intensity; farther where no score would have shown these."""
-    compared = _without_power(compared)
     for near, far in ((1.0 / FACTOR, 1.0 / FURTHER), (FACTOR, FURTHER)):
         for factor in (near, far):
             found = at(factor)
@@ -453,10 +543,6 @@ def _with_power(
             if any(each.power(factor) >= POWER for each in compared):
                 break
     return compared
-
-
-def _without_power(compared: tuple[Comparison, ...]) -> tuple[Comparison, ...]:
-    return tuple(replace(each, shifts=()) for each in compared)
 
 
 def _sample(found: Sequence[Mapping[str, float]], name: str) -> Sample:

@@ -16,6 +16,7 @@ from torchweather.gap.study.checks import ArrayRule
 from torchweather.gap.study.conditions import Condition, StudyContent, StudySensor
 from torchweather.gap.study.frames import Frame, Frames
 from torchweather.gap.study.recorded_frames import CloudFile, ImageFile
+from torchweather.pipeline.effect import Effect
 
 __all__ = ["LEVELS", "Finding", "FrameLook", "Given", "Looks", "Paths", "StudyKind", "place"]
 
@@ -120,8 +121,18 @@ class StudyKind(ABC):
         return
 
     @abstractmethod
-    def simulated(self, study: StudyContent, condition: Condition, start: Frame, seed: int) -> Frame:
-        """A frame of a condition by the base model, from a clear frame (links: from the measured one)."""
+    def simulated(
+        self, study: StudyContent, condition: Condition, start: Frame, seed: int, effects: tuple[Effect, ...] = ()
+    ) -> Frame:
+        """A frame of a condition by the base model, from a clear frame (links: from the measured one).
+
+        Args:
+            study: with the sensor and the geometry of the scenes.
+            condition: with a weather.
+            start: the frame that it starts from.
+            seed: of the weather and of the effects.
+            effects: of the catalogue, put into the chain.
+        """
 
     def signals(self, frame: Frame) -> NDArray[Any]:
         """Values of a frame that weather changes, ``(K,)``."""

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from torchweather.atmosphere.weather import Weather
 from torchweather.camera.sensor import Camera
@@ -22,6 +23,7 @@ from torchweather.gap.study.frames import Frame
 from torchweather.gap.study.kinds import Finding, Given, Looks, Paths, StudyKind, place
 from torchweather.gap.study.recorded_frames import ImageFile, even_camera, shared_depth
 from torchweather.io import IMAGE_SUFFIXES
+from torchweather.pipeline.effect import Effect
 
 __all__ = ["CameraStudy", "simulated_camera"]
 
@@ -97,15 +99,25 @@ class CameraStudy(StudyKind):
             )
         return {"H": sensor.height, "W": sensor.width}, "the sensor (height, width)"
 
-    def simulated(self, study: StudyContent, condition: Condition, start: Frame, seed: int) -> Frame:
+    def simulated(
+        self, study: StudyContent, condition: Condition, start: Frame, seed: int, effects: tuple[Effect, ...] = ()
+    ) -> Frame:
         """A raw frame in the condition's weather, by its exposure, speed and airlight."""
         assert condition.weather is not None
         camera = study.sensor_as(Camera)
         if condition.exposure_s is not None:
             camera = replace(camera, exposure_s=condition.exposure_s)
-        depth_m, speed = study.scenes[condition.scene].geometry["depth_m"], condition.ego_speed_m_per_s or 0.0
+        geometry, speed = study.scenes[condition.scene].geometry, condition.ego_speed_m_per_s or 0.0
         return simulated_camera(
-            start, depth_m, condition.weather, camera, seed, ego_speed_m_per_s=speed, airlight=condition.airlight
+            start,
+            geometry["depth_m"],
+            condition.weather,
+            camera,
+            seed,
+            ego_speed_m_per_s=speed,
+            airlight=condition.airlight,
+            effects=effects,
+            normal=geometry.get("normal"),
         )
 
     def geometry_findings(self, scene: str, geometry: Frame) -> Iterator[Finding]:
@@ -142,11 +154,15 @@ class CameraStudy(StudyKind):
 
 @lru_cache(maxsize=64)
 def _camera_transform(
-    weather: Weather, camera: Camera, ego_speed_m_per_s: float, airlight: tuple[float, float, float] | None
+    weather: Weather,
+    camera: Camera,
+    ego_speed_m_per_s: float,
+    airlight: tuple[float, float, float] | None,
+    effects: tuple[Effect, ...],
 ) -> BayerWeather:
     # The frames of a study are linear already.
     linear = replace(camera, response_knots=None)
-    return BayerWeather(weather, linear, ego_speed_m_per_s=ego_speed_m_per_s, airlight=airlight)
+    return BayerWeather(weather, linear, ego_speed_m_per_s=ego_speed_m_per_s, airlight=airlight, effects=effects)
 
 
 def simulated_camera(
@@ -158,6 +174,8 @@ def simulated_camera(
     *,
     ego_speed_m_per_s: float = 0.0,
     airlight: tuple[float, float, float] | None = None,
+    effects: tuple[Effect, ...] = (),
+    normal: Array | None = None,
 ) -> dict[str, Array]:
     """A raw frame in a weather.
 
@@ -168,13 +186,23 @@ def simulated_camera(
         seed: of the weather.
         ego_speed_m_per_s: of the vehicle, forward.
         airlight: as measured, linear; ``None`` takes that of the clear frame's sky, as ``BayerWeather`` finds it.
+        effects: of the catalogue, put into the chain.
+        normal: ``(H, W, 3)`` of the surfaces, 0 or NaN where there is none; for effects that need it.
 
     Returns:
         ``bayer (H, W)``.
     """
-    transform = _camera_transform(weather, camera, ego_speed_m_per_s, airlight)
+    transform = _camera_transform(weather, camera, ego_speed_m_per_s, airlight, effects)
     bayer = torch.from_numpy(np.array(clear["bayer"], dtype=np.float32))[None]
     depth = torch.from_numpy(np.array(depth_m, dtype=np.float32))[None]
     with torch.no_grad():
-        found = transform(bayer, depth, transform.draw(bayer, seed=seed))
+        found = transform(bayer, depth, transform.draw(bayer, seed=seed), normal=_planes(normal) if effects else None)
     return {"bayer": found[0].numpy()}
+
+
+def _planes(normal: Array | None) -> Tensor | None:
+    """Normals ``(3, H, W)``, 0 where there is no surface."""
+    if normal is None:
+        return None
+    found = torch.from_numpy(np.nan_to_num(np.asarray(normal, dtype=np.float32)))
+    return found.permute(2, 0, 1).contiguous()

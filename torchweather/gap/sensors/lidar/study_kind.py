@@ -26,6 +26,7 @@ from torchweather.lidar.intensity import FULL_SCALE, reflectivity_from_intensity
 from torchweather.lidar.scan import scan_directions
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarWeather
+from torchweather.pipeline.effect import Effect
 from torchweather.pipeline.point_kind import PointKind
 
 __all__ = ["LidarStudy", "simulated_lidar"]
@@ -106,10 +107,20 @@ class LidarStudy(StudyKind):
                 "Name the unit of the data in the sensor's overrides.",
             )
 
-    def simulated(self, study: StudyContent, condition: Condition, start: Frame, seed: int) -> Frame:
+    def simulated(
+        self, study: StudyContent, condition: Condition, start: Frame, seed: int, effects: tuple[Effect, ...] = ()
+    ) -> Frame:
         """A scan in the condition's weather."""
         assert condition.weather is not None
-        return simulated_lidar(start, study.beams["direction"], condition.weather, study.sensor_as(Lidar), seed)
+        return simulated_lidar(
+            start,
+            study.beams["direction"],
+            condition.weather,
+            study.sensor_as(Lidar),
+            seed,
+            effects=effects,
+            geometry=study.scenes[condition.scene].geometry,
+        )
 
     def signals(self, frame: Frame) -> Array:
         """Intensities of the returns."""
@@ -179,11 +190,20 @@ def _of_intensity_unit(lidar: Lidar, clear: Looks) -> Iterator[Finding]:
 
 
 @lru_cache(maxsize=64)
-def _lidar_transform(weather: Weather, lidar: Lidar) -> LidarWeather:
-    return LidarWeather(weather, replace(lidar, directions=None), beam_ends="max_range")
+def _lidar_transform(weather: Weather, lidar: Lidar, effects: tuple[Effect, ...]) -> LidarWeather:
+    return LidarWeather(weather, replace(lidar, directions=None), beam_ends="max_range", effects=effects)
 
 
-def simulated_lidar(clear: Frame, direction: Array, weather: Weather, lidar: Lidar, seed: int) -> dict[str, Array]:
+def simulated_lidar(
+    clear: Frame,
+    direction: Array,
+    weather: Weather,
+    lidar: Lidar,
+    seed: int,
+    *,
+    effects: tuple[Effect, ...] = (),
+    geometry: Frame | None = None,
+) -> dict[str, Array]:
     """A scan in a weather.
 
     Args:
@@ -191,16 +211,20 @@ def simulated_lidar(clear: Frame, direction: Array, weather: Weather, lidar: Lid
         direction: ``(H, W, 3)`` unit vectors.
         weather, lidar: as in ``LidarWeather``.
         seed: of the weather.
+        effects: of the catalogue, put into the chain.
+        geometry: of the scene: ``cos_incidence`` and ``up`` ``(H, W)`` where known, for effects that need them.
 
     Returns:
-        The same arrays. A beam that still reports its object has the clear frame's own range; of a dual-return sensor
-        the strongest return counts.
+        The same arrays. A beam that still reports its object has the clear frame's own range, unless effects move it;
+        of a dual-return sensor the strongest return counts.
     """
     grid = clear["range_m"].shape
     range_m, intensity = _flat(clear["range_m"]), _flat(clear["intensity"])
     beams = torch.from_numpy(np.array(direction, dtype=np.float32)).reshape(-1, 3)
     points = torch.cat([range_m[:, None] * beams, intensity[:, None]], -1)
-    transform = _lidar_transform(weather, lidar)
+    transform = _lidar_transform(weather, lidar, effects)
+    if effects:
+        return _with_effects(transform, points, beams, grid, seed, geometry or {})
     with torch.no_grad():
         result = transform.run(points, transform.draw(points, seed=seed), directions=beams)
     assert isinstance(result.points, Tensor)
@@ -211,6 +235,22 @@ def simulated_lidar(clear: Frame, direction: Array, weather: Weather, lidar: Lid
     return {
         "range_m": found.masked_fill(lost, 0.0).reshape(grid).numpy(),
         "intensity": result.points[:, 3].masked_fill(lost, 0.0).reshape(grid).numpy(),
+    }
+
+
+def _with_effects(
+    transform: LidarWeather, points: Tensor, beams: Tensor, grid: tuple[int, ...], seed: int, geometry: Frame
+) -> dict[str, Array]:
+    """A scan through a chain with effects, which need the grid of the beams and may move objects in range."""
+    known = {name: _flat(geometry[name])[None] for name in ("cos_incidence", "up") if name in geometry}
+    with torch.no_grad():
+        state = transform.state_of(points[None], beams).changed(grid=tuple(grid), **known)
+        out = transform.chain(state, transform.draw(points[None], seed=torch.tensor([seed])))
+    lost = out.returns.kind[0, :, 0] == PointKind.LOST
+    range_m = torch.linalg.vector_norm(out.returns.points[0, :, :3], dim=-1)
+    return {
+        "range_m": range_m.masked_fill(lost, 0.0).reshape(grid).numpy(),
+        "intensity": out.returns.points[0, :, 3].masked_fill(lost, 0.0).reshape(grid).numpy(),
     }
 
 

@@ -10,13 +10,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import InputValueError, TorchweatherError
 from torchweather.core.random import keyed_stream
 from torchweather.gap.study.checks import ArrayRule, refuse
 from torchweather.gap.study.conditions import Condition, StudyContent
 from torchweather.gap.study.frames import Frame, Frames
 from torchweather.gap.study.kinds import Finding, Looks, StudyKind, place
 from torchweather.physics import rain_attenuation_p838_db_per_km
+from torchweather.pipeline.effect import Effect
 
 __all__ = ["DRY_AFTER_S", "LinkStudy", "dry_samples", "rain_attenuation_db", "simulated_link"]
 
@@ -74,8 +75,14 @@ class LinkStudy(StudyKind):
             if np.isnan(frame[key]).all():
                 raise TorchweatherError(f"{name}: {key} must hold some numbers; got NaN everywhere.")
 
-    def simulated(self, study: StudyContent, condition: Condition, start: Frame, seed: int) -> Frame:
+    def simulated(
+        self, study: StudyContent, condition: Condition, start: Frame, seed: int, effects: tuple[Effect, ...] = ()
+    ) -> Frame:
         """Attenuation in the rain of the record."""
+        if effects:
+            raise InputValueError(
+                "simulate: effects belong to frames of a sensor; got a study of links. Leave them out."
+            )
         return simulated_link(study.links, start, seed)
 
     def findings(self, study: StudyContent, clear: Looks, measured: Looks) -> Iterator[Finding]:

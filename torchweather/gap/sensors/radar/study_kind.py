@@ -18,6 +18,7 @@ from torchweather.gap.study.checks import ArrayRule, refuse
 from torchweather.gap.study.conditions import Condition, StudyContent
 from torchweather.gap.study.frames import Frame
 from torchweather.gap.study.kinds import Finding, Looks, StudyKind
+from torchweather.pipeline.effect import Effect
 from torchweather.pipeline.point_kind import PointKind
 from torchweather.radar.sensor import Radar
 from torchweather.radar.transform import RadarAttenuation
@@ -75,11 +76,13 @@ class RadarStudy(StudyKind):
                 "Set power_db to NaN where the target was not detected.",
             )
 
-    def simulated(self, study: StudyContent, condition: Condition, start: Frame, seed: int) -> Frame:
+    def simulated(
+        self, study: StudyContent, condition: Condition, start: Frame, seed: int, effects: tuple[Effect, ...] = ()
+    ) -> Frame:
         """Detections in the condition's weather."""
         assert condition.weather is not None
         geometry = study.scenes[condition.scene].geometry
-        return simulated_radar(start, geometry, condition.weather, study.sensor_as(Radar), seed)
+        return simulated_radar(start, geometry, condition.weather, study.sensor_as(Radar), seed, effects=effects)
 
     def geometry_findings(self, scene: str, geometry: Frame) -> Iterator[Finding]:
         """Classes of targets, which distinguish effects."""
@@ -104,11 +107,19 @@ class RadarStudy(StudyKind):
 
 
 @lru_cache(maxsize=64)
-def _radar_transform(weather: Weather, radar: Radar) -> RadarAttenuation:
-    return RadarAttenuation(weather, radar)
+def _radar_transform(weather: Weather, radar: Radar, effects: tuple[Effect, ...]) -> RadarAttenuation:
+    return RadarAttenuation(weather, radar, effects=effects)
 
 
-def simulated_radar(clear: Frame, geometry: Frame, weather: Weather, radar: Radar, seed: int) -> dict[str, Array]:
+def simulated_radar(
+    clear: Frame,
+    geometry: Frame,
+    weather: Weather,
+    radar: Radar,
+    seed: int,
+    *,
+    effects: tuple[Effect, ...] = (),
+) -> dict[str, Array]:
     """Detections of known targets in a weather: weaker by the way there and back, gone below the threshold.
 
     Args:
@@ -117,12 +128,13 @@ def simulated_radar(clear: Frame, geometry: Frame, weather: Weather, radar: Rada
         geometry: ``range_m``, ``azimuth_rad``, ``elevation_rad`` ``(N,)`` of the targets.
         weather, radar: as in ``RadarAttenuation``.
         seed: of the margin of targets whose power says less than the threshold.
+        effects: of the catalogue, put into the chain.
 
     Returns:
-        The arrays of ``clear``.
+        The arrays of ``clear``. Echoes that effects add are left out, and so is a change of the noise floor.
     """
     floor_db = float(clear["noise_floor_db"])
-    transform = _radar_transform(weather, replace(radar, noise_floor_db=floor_db))
+    transform = _radar_transform(weather, replace(radar, noise_floor_db=floor_db), effects)
     power = torch.from_numpy(np.array(clear["power_db"], dtype=np.float64))
     seen = ~power.isnan()
     towards = _unit(geometry["azimuth_rad"], geometry["elevation_rad"])
@@ -131,14 +143,22 @@ def simulated_radar(clear: Frame, geometry: Frame, weather: Weather, radar: Rada
     points[:, :3] = torch.where(seen[:, None], place, 0.0)
     points[:, 4] = torch.where(seen, power, floor_db)
     with torch.no_grad():
-        result = transform.run(points, transform.draw(points, seed=seed))
+        known: dict[str, Any] = (
+            {"target_class": torch.from_numpy(np.array(geometry["target_class"], np.int64))} if effects else {}
+        )
+        result = transform.run(points, transform.draw(points, seed=seed), **known)
     assert isinstance(result.points, Tensor)
     assert isinstance(result.kind, Tensor)
-    there = (result.kind == PointKind.OBJECT).numpy()
+    targets = slice(len(power))
+    there = (result.kind[targets] == PointKind.OBJECT).numpy()
+    moved_m = torch.linalg.vector_norm(result.points[targets, :3], dim=-1) - torch.linalg.vector_norm(
+        points[:, :3], dim=-1
+    )
     found: dict[str, Array] = {key: np.array(value) for key, value in clear.items()}
-    found["power_db"] = np.where(there, result.points[:, 4].numpy(), np.nan)
-    for name in ("range_m", "speed_m_per_s"):
-        found[name] = np.where(there, clear[name], np.nan)
+    found["power_db"] = np.where(there, result.points[targets, 4].numpy(), np.nan)
+    moves = {"range_m": moved_m.numpy(), "speed_m_per_s": (result.points[targets, 3] - points[:, 3]).numpy()}
+    for name, move in moves.items():
+        found[name] = np.where(there, clear[name] + move if effects else clear[name], np.nan)
     return found
 
 
