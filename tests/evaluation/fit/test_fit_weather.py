@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -222,6 +223,21 @@ def test_a_cameras_visibility_airlight_and_gain(gain: float) -> None:
         assert each.others["exposure_gain"].value == pytest.approx(gain, rel=0.04)
     colours = [found["all_light"].others[f"airlight_{c}"].value for c in ("red", "green", "blue")]
     assert colours == pytest.approx(AIRLIGHT, rel=0.04)
+
+
+def test_a_stated_gain_is_not_fitted_and_a_wrong_one_shows() -> None:
+    study = camera_study(5, true_m=80.0, gain=0.6, airlight=True)
+
+    def fitted(gain: float) -> dict[str, Any]:
+        stated = tuple(replace(each, exposure_gain=gain) for each in study.conditions)
+        return by_name(fit_weather(replace(study, conditions=stated), bootstrap=50))
+
+    for each in fitted(0.6).values():
+        assert each.intensity.value == pytest.approx(80.0, rel=0.03)
+        assert "exposure_gain" not in each.others
+    assert fitted(0.6)["all_light"].others["airlight_green"].value > 0
+    # Twice the light says that the way took twice as much of it.
+    assert fitted(1.2)["contrast"].intensity.value < 60.0
 
 
 def test_noise_is_no_contrast() -> None:

@@ -160,6 +160,21 @@ def test_a_measured_airlight_of_the_condition_counts() -> None:
     assert np.median(foggy[1::2, 1::2]) == pytest.approx(0.5, abs=0.05)
 
 
+def test_the_exposure_gain_of_the_condition_counts() -> None:
+    built = study("camera", clear=2, frames=1)
+    foggy = replace(built.conditions[0], weather=Fog(mor_m=40.0))
+    plain, half = (simulate(built, replace(foggy, exposure_gain=gain), seed=1)["bayer"] for gain in (None, 0.5))
+    np.testing.assert_allclose(half, 0.5 * plain, atol=1e-6)
+    one = simulate(built, replace(foggy, exposure_gain=1.0), seed=1)["bayer"]
+    assert np.array_equal(one, plain)
+    # Measured airlight has the exposure of its own frames: where nothing else is left, the gain changes nothing.
+    dense = replace(built.conditions[0], weather=Fog(mor_m=5.0), airlight=(0.3, 0.4, 0.5), exposure_gain=0.5)
+    assert np.median(simulate(built, dense, seed=1)["bayer"][0::2, 0::2]) == pytest.approx(0.3, abs=0.05)
+    # A gain above 1 saturates.
+    bright = simulate(built, replace(built.conditions[0], weather=Fog(mor_m=1e4), exposure_gain=500.0), seed=1)["bayer"]
+    assert bright.max() <= 1.0
+
+
 # ---- radar -----------------------------------------------------------------------------------------------------------
 
 

@@ -305,6 +305,7 @@ BAD_VALUES = [
     (("conditions", 0, "ego_speed_m_per_s"), "fast", r"ego_speed_m_per_s must be a number in m/s; got 'fast'"),
     (("conditions", 0, "exposure_s"), 5000.0, r"exposure_s must lie in 0..10 s; got 5000"),
     (("conditions", 0, "airlight"), 0.5, r"airlight belongs to a camera; the study is of a lidar"),
+    (("conditions", 0, "exposure_gain"), 0.5, r"exposure_gain belongs to a camera; the study is of a lidar"),
     (("conditions", 0, "id"), "c1", r"conditions\[1\].id must differ from the others"),
     (("conditions", 0, "id"), 7, r"conditions\[0\].id must be text"),
     (("conditions", 0, "framse"), [], r"unknown key 'conditions\[0\].framse'.*Did you mean 'frames'"),
@@ -377,5 +378,20 @@ def test_whatever_stands_for_a_condition_gives_a_study_or_one_clear_error(row: d
 def test_a_measured_airlight_is_three_signals(given: Any, said: str) -> None:
     values = arguments("camera")
     values["conditions"][0]["airlight"] = given
+    with pytest.raises(TorchweatherError, match=said):
+        Study.from_arrays(**values)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (0.0, r"conditions\[0\]\.exposure_gain must be above 0.*got 0"),
+        (-1.0, r"exposure_gain must lie in 0\.\.1000; got -1"),
+        ("auto", r"exposure_gain must be a number; got 'auto'"),
+    ],
+)
+def test_a_measured_exposure_gain_is_a_factor(given: Any, said: str) -> None:
+    values = arguments("camera")
+    values["conditions"][0]["exposure_gain"] = given
     with pytest.raises(TorchweatherError, match=said):
         Study.from_arrays(**values)

@@ -61,7 +61,7 @@ def refused(folder: Path, message: str) -> None:
 def test_what_is_written_is_read_back_exactly(kind: str, tmp_path: Path) -> None:
     before = study(kind)
     if kind == "camera":
-        lit = replace(before.conditions[0], airlight=(0.31, 0.33, 0.36))
+        lit = replace(before.conditions[0], airlight=(0.31, 0.33, 0.36), exposure_gain=0.62)
         before = replace(before, conditions=(lit, *before.conditions[1:]))
     before.write(tmp_path / "study")
     after = Study.read(tmp_path / "study")
@@ -69,7 +69,8 @@ def test_what_is_written_is_read_back_exactly(kind: str, tmp_path: Path) -> None
     assert after.sensor == before.sensor
     assert (after.kind, list(after.scenes)) == (before.kind, list(before.scenes))
     for one, two in zip(before.conditions, after.conditions, strict=True):
-        for name in ("id", "scene", "weather", "rel_sd", "split", "ego_speed_m_per_s", "exposure_s", "airlight"):
+        stated = ("id", "scene", "weather", "rel_sd", "split")
+        for name in (*stated, "ego_speed_m_per_s", "exposure_s", "airlight", "exposure_gain"):
             assert getattr(one, name) == getattr(two, name), name
         assert np.array_equal(np.array(one.time_s), np.array(two.time_s))
         for frame, again in zip(one.frames, two.frames, strict=True):

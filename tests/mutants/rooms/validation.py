@@ -34,6 +34,14 @@ MUTANTS = (
         (f"{POWER_TESTS}::test_an_effect_of_the_stated_strength_is_flagged",),
     ),
     Mutant(
+        "exposure_gain_twice",
+        "the exposure gain of a condition multiplies the light of its frames once",
+        "torchweather.gap.sensors.camera.study_kind",
+        "(exposure_gain * bayer).clamp_max(1.0)",
+        "(exposure_gain * exposure_gain * bayer).clamp_max(1.0)",
+        ("tests/gap/study/test_simulation.py::test_the_exposure_gain_of_the_condition_counts",),
+    ),
+    Mutant(
         "one_way_of_two",
         "the light of a LiDAR loses the extinction there and back",
         "torchweather.evaluation.fit.path_line",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 
@@ -133,7 +134,20 @@ def camera_models(study: Study, condition: Condition, left_out: Mask) -> tuple[M
             return parameters[1] * own * passed + gain * fixed * (1 - passed)
 
         found[name] = (rows, Model(known, start, names))
+    if condition.exposure_gain is not None:
+        found = {name: (rows, _with_gain(model, condition.exposure_gain)) for name, (rows, model) in found.items()}
     return found, why
+
+
+def _with_gain(model: Model, exposure_gain: float) -> Model:
+    """The model with a gain that is known: its second parameter is none any more."""
+    gain = torch.tensor([exposure_gain], dtype=torch.float64)
+
+    def known(parameters: Tensor, light: Tensor) -> Tensor:
+        return model.predict(torch.cat([parameters[:1], gain, parameters[1:]]), light)
+
+    start = torch.cat([model.start[:1], model.start[2:]])
+    return replace(model, predict=known, start=start, names=(model.names[0], *model.names[2:]))
 
 
 class _Cells:

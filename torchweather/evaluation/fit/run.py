@@ -71,7 +71,7 @@ def fit_weather(
             - Camera: ``contrast`` (differences of dark and bright at one depth: airlight cancels), ``all_light``
               (airlight of each colour fitted), ``sky_airlight`` (that of the clear frames' sky) and
               ``measured_airlight`` (that of the condition, at the exposure of its own frames). All fit a gain of the
-              exposure.
+              exposure, unless the condition states its ``exposure_gain``.
         mask: True for pixels (beams, targets) that do not count, for all scenes or by scene; beside the ``mask`` that a
             scene's geometry has.
         bootstrap: samples of the frames; 50 or more.

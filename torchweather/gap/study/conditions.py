@@ -52,6 +52,8 @@ class Condition:
         exposure_s: of the camera, where it is not the sensor's.
         airlight: measured light of the fog or sky of a camera's condition: red, green, blue, linear, in units of
             saturation; ``None`` is estimated from the clear frames.
+        exposure_gain: of a camera's condition: signal of its frames over that of the clear frames for the same light,
+            by exposure time, aperture, gain and daylight together; ``None`` is unknown, and counts as 1.
     """
 
     id: str
@@ -64,6 +66,7 @@ class Condition:
     ego_speed_m_per_s: float | None
     exposure_s: float | None
     airlight: tuple[float, float, float] | None = None
+    exposure_gain: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

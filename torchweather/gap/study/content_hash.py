@@ -59,4 +59,6 @@ def _lines(study: StudyContent) -> Iterable[Any]:
         stated = [one.id, one.scene, weather, one.rel_sd, times, one.split, one.ego_speed_m_per_s, one.exposure_s]
         if one.airlight is not None:  # studies without keep the hash that they had
             stated.append(list(one.airlight))
+        if one.exposure_gain is not None:
+            stated.append({"exposure_gain": one.exposure_gain})
         yield [*stated, [frame_sha256(frame) for frame in one.frames]]

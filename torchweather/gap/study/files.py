@@ -248,7 +248,7 @@ def _condition_values(one: Condition, kind: StudyKind, frames: Sequence[str]) ->
     if one.time_s is not None:
         values["time_s"] = one.time_s.tolist()
     values["split"] = one.split
-    for name in ("ego_speed_m_per_s", "exposure_s"):
+    for name in ("ego_speed_m_per_s", "exposure_s", "exposure_gain"):
         if getattr(one, name) is not None:
             values[name] = getattr(one, name)
     if one.airlight is not None:

@@ -85,7 +85,7 @@ class StudyKind(ABC):
     shared: ClassVar[str] = ""  # part that all frames share, beams or links
     shared_wanted: ClassVar[str] = ""  # its arrays in words
     has_scenes: ClassVar[bool] = True  # False where the frames themselves hold the clear samples
-    has_airlight: ClassVar[bool] = False  # True where a condition can state its airlight
+    has_airlight: ClassVar[bool] = False  # True where a condition can state its airlight and exposure gain
     # Key of a condition for the relative standard deviation of the weather, where its record is in the frames.
     rel_sd_key: ClassVar[str] = ""
 

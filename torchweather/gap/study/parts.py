@@ -38,11 +38,12 @@ ID = Key("text, such as 's0' (numbers in quotes)", lambda value: isinstance(valu
 SCENE_KEYS = ("id", "clear", "geometry")
 CONDITION_KEYS = (
     *("id", "scene", "weather", "rel_sd", "frames", "time_s", "split"),
-    *("ego_speed_m_per_s", "exposure_s", "airlight"),
+    *("ego_speed_m_per_s", "exposure_s", "airlight", "exposure_gain"),
 )
 # Guards against another unit. A record that is off by its own value says nothing; 10 % is 0.1.
 MOST_REL_SD = 1.0
 FASTEST_M_PER_S = 150.0  # 540 km/h
+MOST_GAIN = 1000.0  # ten stops
 LONGEST_EXPOSURE_S = 10.0
 
 Values = Mapping[str, Any]
@@ -155,6 +156,7 @@ def _conditions(
             ego_speed_m_per_s=_optional(row, "ego_speed_m_per_s", key, FASTEST_M_PER_S, "m/s", owner),
             exposure_s=_optional(row, "exposure_s", key, LONGEST_EXPOSURE_S, "s", owner),
             airlight=_airlight(row, kind, key, owner),
+            exposure_gain=_exposure_gain(row, kind, key, owner),
         )
     return resolve_splits(tuple(built.values()))
 
@@ -164,10 +166,7 @@ def _airlight(row: Values, kind: StudyKind, key: str, owner: str) -> tuple[float
     given = row.get("airlight")
     if given is None:
         return None
-    if not kind.has_airlight:
-        raise TorchweatherError(
-            f"{owner}: {key}.airlight belongs to a camera; the study is of a {kind.name}. Leave it out."
-        )
+    _check_of_camera("airlight", kind, key, owner)
     try:
         found = airlight_argument(given, f"{key}")
     except (TypeError, ValueError) as error:
@@ -178,6 +177,27 @@ def _airlight(row: Values, kind: StudyKind, key: str, owner: str) -> tuple[float
             f"{found!r}."
         )
     return found
+
+
+def _exposure_gain(row: Values, kind: StudyKind, key: str, owner: str) -> float | None:
+    """The measured exposure gain of a camera's condition."""
+    found = _optional(row, "exposure_gain", key, MOST_GAIN, "", owner)
+    if found is None:
+        return None
+    _check_of_camera("exposure_gain", kind, key, owner)
+    if found <= 0:
+        raise TorchweatherError(
+            f"{owner}: {key}.exposure_gain must be above 0, the signal of these frames over that of clear ones; got "
+            f"{found:g}."
+        )
+    return found
+
+
+def _check_of_camera(what: str, kind: StudyKind, key: str, owner: str) -> None:
+    if not kind.has_airlight:
+        raise TorchweatherError(
+            f"{owner}: {key}.{what} belongs to a camera; the study is of a {kind.name}. Leave it out."
+        )
 
 
 def _scene_rule(kind: StudyKind, rule: FrameRule, scene: str, geometry: Frame) -> FrameRule:

@@ -60,7 +60,8 @@ class Study(StudyContent):
         Args:
             conditions: each with ``id``, ``scene``, ``weather`` (an object such as ``Rain(25.0)``, text such as
                 ``rain:rate=25`` or ``clear``, or the keys of ``study.yaml``), ``frames``, and where known ``rel_sd``
-                (of the recorded rate or visibility), ``time_s``, ``split``, ``ego_speed_m_per_s``, ``exposure_s``.
+                (of the recorded rate or visibility), ``time_s``, ``split``, ``ego_speed_m_per_s``, ``exposure_s``,
+                ``airlight``, ``exposure_gain``.
             kind: ``lidar``, ``camera``, ``radar`` or ``link``; ``None`` is that of the sensor.
             sensor: an object, or text such as ``lidar:ouster-os1-128``; none for links.
             beams: LiDAR: ``direction (H, W, 3)``; ``None`` takes the sensor's scan pattern.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import fields, replace
 from functools import lru_cache
@@ -11,7 +12,7 @@ import pytest
 import torch
 
 from tests.gap.tiny_camera_study import CAMERA, CLEAR, ELECTRONS, HEIGHT, SPLITS, WEATHERS, WIDTH, values_of, view
-from torchweather.atmosphere.weather import Rain
+from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.camera.effects.all import EFFECTS
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
@@ -568,3 +569,20 @@ def test_effects_of_the_catalogue_are_no_change_of_the_scene() -> None:
         EFFECTS["camera.saturation"](level=0.5),
     ]
     CameraFrames(Study.from_arrays(**values_of(effects)))
+
+
+def test_the_exposure_gain_of_a_condition_is_in_simulated_frames_and_what_they_are_compared_with(study: Study) -> None:
+    foggy = [replace(one, weather=Fog(mor_m=100.0)) for one in study.conditions]
+    plain = replace(study, conditions=tuple(foggy))
+    dark = replace(plain, conditions=tuple(replace(one, exposure_gain=0.5) for one in plain.conditions))
+    bright, dim = CameraFrames(plain), CameraFrames(dark)
+    one, other = bright.fit[0], dim.fit[0]
+    levels = [model._of(each).modelled_level for model, each in ((bright, one), (dim, other))]
+    torch.testing.assert_close(levels[1], levels[0] + math.log(0.5), rtol=0, atol=2e-3)
+    row = torch.tensor([0, 1])
+    with torch.no_grad():
+        frames = [
+            model._through(model._chain(each, ()), each, row, 0.0, [0, 1])
+            for model, each in ((bright, one), (dim, other))
+        ]
+    assert float(frames[1].mean() / frames[0].mean()) == pytest.approx(0.5, rel=5e-3)

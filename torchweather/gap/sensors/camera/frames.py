@@ -151,7 +151,8 @@ class CameraFrames:
                 if condition.airlight is not None:
                     options["airlight"] = condition.airlight
                 elif airlight is not None:  # of all clear frames, which knows it better than one
-                    options.setdefault("airlight", airlight)
+                    gain = _gain(condition)
+                    options.setdefault("airlight", tuple(min(gain * colour, 1.0) for colour in airlight))
                 self.transforms[condition.id] = BayerWeather(weather, camera, **options)
             return self.transforms[condition.id]
 
@@ -175,6 +176,8 @@ class CameraFrames:
         if "rain" not in kinds:
             return {}
         mean = self._mean_light(self.scenes[condition.scene])
+        if condition.airlight is not None:  # at the exposure of its own frames
+            mean = {colour: _gain(condition) * light for colour, light in mean.items()}
         sky = mean if airlight is None else dict(zip(COLOURS, airlight, strict=True))
         return {
             colour: DROP_LIGHT_SD * mean[colour] / (REFLECTED_SHARE * sky[colour])
@@ -272,8 +275,9 @@ class CameraFrames:
                 if isinstance(stage, ExtinctionAndAirlight)
             }
             with torch.no_grad():
-                state = transform.state_of(scene.reference, scene.depth_m[None])
-                modelled = Chain(fog)(state, {}).image.signal if fog else scene.reference
+                reference = _lit(scene.reference, condition)
+                state = transform.state_of(reference, scene.depth_m[None])
+                modelled = Chain(fog)(state, {}).image.signal if fog else reference
             edges = self._clear_sums[condition.scene].edges
             found = CameraSums(scene, self.layout, self._pattern, self._colours, modelled, edges)
             with self._lock:
@@ -334,11 +338,15 @@ class CameraFrames:
         scene = self.scenes[condition.scene]
         normal = None if scene.normal is None else scene.normal[None]
         # Light comes without noise: that of the frame is added where it arises, as large as the light there makes it.
-        state = self.transform(condition).state_of(scene.reference[row], scene.depth_m[None], normal)
+        reference, gain = _lit(scene.reference[row], condition), _gain(condition)
+        state = self.transform(condition).state_of(reference, scene.depth_m[None], normal)
         state, noisy = state.changed(keep_truth=True), False
         for name, stage in chain.stages.items():
             if not noisy and name in BEHIND_THE_NOISE:
-                light = scene.with_noise(state.image.signal, state.image.transmission, _covered(state), row)
+                left = state.image.transmission
+                if gain != 1:  # the noise of the mean is in the reference, times the gain
+                    left = torch.full_like(state.image.signal, gain) if left is None else gain * left
+                light = scene.with_noise(state.image.signal, left, _covered(state), row)
                 state, noisy = state.changed(signal=light), True
             if isinstance(stage, ParticleVeil):
                 state = self._veiled(stage, condition, state, log_intensity, seeds)
@@ -385,6 +393,17 @@ def _frames(condition: Condition) -> Tensor:
     """Frames of a condition ``(F, 1, H, W)``."""
     frames = [condition.frames[number]["bayer"] for number in range(len(condition.frames))]
     return torch.stack([torch.from_numpy(np.array(frame, dtype=np.float32)) for frame in frames])[:, None]
+
+
+def _gain(condition: Condition) -> float:
+    """Signal of a condition's frames over that of clear frames for the same light; 1 where it is not stated."""
+    return 1.0 if condition.exposure_gain is None else condition.exposure_gain
+
+
+def _lit(clear: Tensor, condition: Condition) -> Tensor:
+    """Clear frames at the exposure of a condition."""
+    gain = _gain(condition)
+    return clear if gain == 1 else (gain * clear).clamp_max(1.0)
 
 
 def _covered(state: CameraState) -> Tensor | None:

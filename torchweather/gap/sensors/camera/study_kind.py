@@ -116,6 +116,7 @@ class CameraStudy(StudyKind):
             seed,
             ego_speed_m_per_s=speed,
             airlight=condition.airlight,
+            exposure_gain=condition.exposure_gain or 1.0,
             effects=effects,
             normal=geometry.get("normal"),
         )
@@ -174,6 +175,7 @@ def simulated_camera(
     *,
     ego_speed_m_per_s: float = 0.0,
     airlight: tuple[float, float, float] | None = None,
+    exposure_gain: float = 1.0,
     effects: tuple[Effect, ...] = (),
     normal: Array | None = None,
 ) -> dict[str, Array]:
@@ -185,7 +187,9 @@ def simulated_camera(
         weather, camera: as in ``BayerWeather``; the camera's exposure is that of the frame.
         seed: of the weather.
         ego_speed_m_per_s: of the vehicle, forward.
-        airlight: as measured, linear; ``None`` takes that of the clear frame's sky, as ``BayerWeather`` finds it.
+        airlight: as measured in the weather, linear, at the exposure of its frames; ``None`` takes that of the clear
+            frame's sky, as ``BayerWeather`` finds it.
+        exposure_gain: signal in the weather over that of the clear frame for the same light, above 0.
         effects: of the catalogue, put into the chain.
         normal: ``(H, W, 3)`` of the surfaces, 0 or NaN where there is none; for effects that need it.
 
@@ -194,6 +198,7 @@ def simulated_camera(
     """
     transform = _camera_transform(weather, camera, ego_speed_m_per_s, airlight, effects)
     bayer = torch.from_numpy(np.array(clear["bayer"], dtype=np.float32))[None]
+    bayer = bayer if exposure_gain == 1 else (exposure_gain * bayer).clamp_max(1.0)
     depth = torch.from_numpy(np.array(depth_m, dtype=np.float32))[None]
     with torch.no_grad():
         found = transform(bayer, depth, transform.draw(bayer, seed=seed), normal=_planes(normal) if effects else None)
