@@ -157,15 +157,10 @@ BANKS = tw.Fog(mor_m=80.0, patch_log_std=0.5)
 @pytest.mark.parametrize(
     ("weather", "more", "options", "path"),
     [
-        (BANKS, {}, {}, "torch (air)"),
         (tw.Rain(20.0), {}, {"variant": "d3_4"}, "torch (variant d3_4)"),
-        (tw.Snow(1.0), {"speed_column": 4}, {}, "torch (radial_speed)"),
-        (
-            tw.Rain(20.0),
-            {},
-            {"effects": [{"effect": "lidar.threshold_shift", "shift_db": 2.0}]},
-            "torch (threshold_shift)",
-        ),
+        (BANKS, {}, {}, "torch (air)"),
+        (tw.Snow(1.0), {"speed_column": 4}, {}, "torch (radial_speed), echoes by numba"),
+        (tw.Rain(20.0), {}, {"effects": [DEAF]}, "torch (threshold_shift), echoes by numba"),
     ],
 )
 def test_torch_weathers_what_the_compiled_path_does_not_cover(
@@ -176,8 +171,36 @@ def test_torch_weathers_what_the_compiled_path_does_not_cover(
     noise = transform.draw(points, seed=1)
     assert compiled.rendered_by(transform.chain) == path
     assert f"weathered by {path}" in repr(transform)
-    fast, slow = both(monkeypatch, lambda: transform(points, noise, directions=along))
-    assert torch.equal(fast, slow)
+    fast, slow = both(monkeypatch, lambda: transform.run(points, noise, directions=along))
+    if "numba" in path:
+        check_alike(fast.points, slow.points, (fast.kind, slow.kind))
+    else:
+        assert torch.equal(fast.points, slow.points)
+
+
+# What effects do to the air and to the beam: density of each beam, sizes, response, divergence, brightness, threshold.
+OF_AIR: dict[str, dict[str, float]] = {
+    "lidar.particle_density_azimuth": {"amplitude": 2.0, "wind_amplitude": 0.5},
+    "lidar.particle_sizes": {"factor_1mm": 0.6, "factor_4mm": 1.5},
+    "lidar.near_response": {"full_m": 8.0, "power": 1.0},
+    "lidar.beam_divergence": {"extra_mrad": 1.0},
+    "lidar.particle_backscatter": {"gain_db": 3.0},
+    "lidar.extinction_scale": {"factor": 1.3},
+}
+
+
+@pytest.mark.parametrize("weather", ["rain", "snow", "fog", "all"])
+@pytest.mark.parametrize("effect", OF_AIR)
+def test_echoes_in_the_air_of_effects_are_those_of_torch(
+    effect: str, weather: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points, along = cloud_of()
+    own = {"effect": effect, **OF_AIR[effect]}
+    transform = tw.LidarWeather(WEATHERS[weather], sensor_of(return_mode="first"), beam_ends="max_range", effects=[own])
+    noise = transform.draw(points, seed=3)
+    fast, slow = both(monkeypatch, lambda: transform.run(points, noise, directions=along))
+    check_alike(fast.points, slow.points, (fast.kind, slow.kind))
+    assert not torch.equal(fast.points, slow.points)  # two paths indeed
 
 
 def test_gradients_and_double_precision_are_those_of_torch(monkeypatch: pytest.MonkeyPatch) -> None:

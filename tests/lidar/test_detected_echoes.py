@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
+import torchweather as tw
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow, Weather
 from torchweather.core.compiled import SWITCH
 from torchweather.lidar.returns.strongest import ARRIVAL_HIGH, ARRIVAL_LOW, ARRIVAL_NODES, ReturnTable, _signal
@@ -87,6 +88,48 @@ def test_what_comes_out_is_that_of_all_echoes(name: str, mode: str) -> None:
         assert isinstance(found.second, Tensor)
         assert torch.equal(found.second, wanted.returns.second.reshape(found.second.shape))
         assert bool((found.second_kind != 2).any())  # type: ignore[union-attr]
+
+
+# Each changes signals or thresholds after the particles are drawn, by itself and by the hand of another.
+OF_SIGNALS: tuple[tuple[dict[str, Any], ...], ...] = (
+    ({"effect": "lidar.threshold_shift", "shift_db": -6.0},),
+    ({"effect": "lidar.particle_backscatter", "gain_db": 8.0},),
+    (
+        {"effect": "lidar.particle_backscatter", "gain_db": 4.0},
+        {"effect": "lidar.threshold_shift", "shift_db": -4.0},
+    ),
+    (
+        {"effect": "lidar.window_loss", "loss_db": 3.0},
+        {"effect": "lidar.spray", "strength": 0.5},
+        {"effect": "lidar.last_return", "probability": 0.5},
+    ),
+    ({"effect": "lidar.blind_zone", "range_m": 4.0}, {"effect": "lidar.sector_loss", "loss_db": 5.0}),
+    ({"effect": "lidar.ring_gain", "db_per_ring": 0.5},),
+    ({"effect": "lidar.shared_particles", "share": 0.5},),
+)
+
+
+@pytest.mark.parametrize("compiled", ["0", "1"])
+@pytest.mark.parametrize("effects", OF_SIGNALS, ids=lambda one: "+".join(own["effect"] for own in one))
+def test_effects_on_signals_see_every_echo_that_they_may_raise(
+    effects: tuple[dict[str, Any], ...], compiled: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(SWITCH, compiled)
+    scan: dict[str, Any] = {"elevations_deg": [float(one) for one in range(-15, 17, 2)], "columns": 96}
+    scan |= {"origin_heights_m": None, "azimuth_offsets_deg": None}
+    sensor = Lidar.preset("ouster-os1-128", return_mode="first", intensity_unit="reflectivity", **scan)
+    transform = LidarWeather(Snow(3.0), sensor, effects=effects, beam_ends="max_range")
+    points = cloud(16 * 96)
+    noise = transform.draw(points, seed=4)
+    found = transform.run(points, noise)
+    state = transform.state_of(points)
+    wanted = transform.chain(state, transform._flat_noise(noise, state, points.shape[:-2]))
+    assert isinstance(found.points, Tensor)
+    assert isinstance(found.kind, Tensor)
+    assert wanted.returns.points is not None
+    assert int((found.kind == int(tw.PointKind.PARTICLE)).sum()) > 50
+    assert torch.equal(found.points, wanted.returns.points.reshape(found.points.shape))
+    assert torch.equal(found.kind, wanted.returns.kind[..., 0].reshape(found.kind.shape))
 
 
 def test_a_stage_that_looks_at_faint_echoes_gets_them() -> None:

@@ -1,12 +1,12 @@
 """Compiled path of a LiDAR's beams on the processor: what it covers, and its calls.
 
-Results equal those of torch to rounding: ln and exp by polynomials (2e-7). What stays with torch is in `rendered_by`;
-so do gradients, exported graphs, clouds in double precision and devices other than the processor.
+Results equal those of torch to rounding: ln and exp by polynomials (2e-7). What stays with torch is in `rendered_by`,
+but for the echoes of particles, which compiled loops draw there as well (``returns/compiled_calls.py``). Gradients,
+exported graphs, clouds in double precision and devices other than the processor stay with torch.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import partial
 from itertools import pairwise
@@ -19,11 +19,9 @@ from torch import Tensor
 
 from torchweather.core.compiled import compiled_path, uses_compiled
 from torchweather.core.threads import side_by_side, threads_at_hand
-from torchweather.lidar.beam import Beam
 from torchweather.lidar.intensity import LOG_STEP, WHITE
 from torchweather.lidar.returns.beam_particles import BeamParticles
-from torchweather.lidar.returns.soft_return import SoftReturn
-from torchweather.lidar.returns.strongest import ARRIVAL_HIGH, ARRIVAL_LOW, ARRIVAL_NODES, PLACE_NODES, ReturnTable
+from torchweather.lidar.returns.compiled_calls import FEWEST_BEAMS, NO_MAP, NO_ROW, array_of, no_part, part_of
 from torchweather.lidar.sensor import CALIBRATION_REFLECTIVITY
 from torchweather.lidar.stages import (
     DB,
@@ -40,19 +38,14 @@ from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.tiling import is_exporting
 
 if TYPE_CHECKING:
-    from torchweather.lidar.compiled_beams import Part, Receiver
+    from torchweather.lidar.compiled_beams import Receiver
 
 __all__ = ["covers", "rendered_by", "weathered"]
 
 PLAIN = (ToEnergy, Extinction, ParticleReturns, Detection, ToPoints)
 MODES = ("strongest", "first", "last", "dual")
-FEWEST_BEAMS = 1 << 14  # of a thread of its own
-LATE_STEP = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
-SLACK = 1e-3  # of the arrival from which on no echo counts, against rounding
 
 Array = NDArray[np.float32]
-NO_MAP: Array = np.zeros((0, 0), np.float32)
-NO_ROW: Array = np.zeros(0, np.float32)
 
 
 def rendered_by(chain: Chain) -> str:
@@ -61,15 +54,14 @@ def rendered_by(chain: Chain) -> str:
     if path != "numba":
         return path
     stages = list(chain.stages.items())
-    for name, stage in stages:
-        if type(stage) not in PLAIN:
-            return f"torch ({name})"
-    if tuple(type(stage) for _, stage in stages) != PLAIN:
-        return "torch (another chain of stages)"
-    parts = _returns(chain).kinds.values()
+    parts = [part for _, stage in stages if isinstance(stage, ParticleReturns) for part in stage.kinds.values()]
     if any(isinstance(part, BeamParticles) and part.published for part in parts):
         return "torch (variant d3_4)"
-    return path
+    if tuple(type(stage) for _, stage in stages) == PLAIN:
+        return path
+    other = next((name for name, stage in stages if type(stage) not in PLAIN), "another chain of stages")
+    in_banks = any("air.patches" in stage.writes for _, stage in stages)
+    return f"torch ({other})" if in_banks else f"torch ({other}), echoes by numba"
 
 
 def covers(chain: Chain, state: LidarState, noise: Mapping[str, Tensor]) -> bool:
@@ -112,11 +104,11 @@ def weathered(chain: Chain, state: LidarState, noise: Mapping[str, Tensor]) -> L
     second = torch.empty_like(points) if reported == 2 else None
     range_m, signal = torch.empty(batch, count, reported), torch.empty(batch, count, reported)
     kind = torch.empty(batch, count, reported, dtype=torch.int8)
-    given, direction = _array(scene.points_in), _map_of(scene.empty_direction)
+    given, direction = array_of(scene.points_in), _map_of(scene.empty_direction)
     clear_m, reach_m, borrowed = (
         _map_of(one) for one in (scene.clear_range_m, state.air.reach_m, scene.borrowed_intensity)
     )
-    margin, noises = _array(noise["to_energy.margin"]), noise.get("to_points.range_noise")
+    margin, noises = array_of(noise["to_energy.margin"]), noise.get("to_points.range_noise")
     receiver = _receiver(energy, returns, to_points)
     shares = max(1, min(threads_at_hand(), count // FEWEST_BEAMS))
     edges = [count * share // shares for share in range(shares + 1)]
@@ -138,12 +130,19 @@ def weathered(chain: Chain, state: LidarState, noise: Mapping[str, Tensor]) -> L
             np.float32(0.0 if zeros is None else zeros[sample, 0]),
             np.float32(extinction[sample]),
         )
-        drawn = Drawn(margin[sample], NO_MAP if noises is None else _array(noises[sample]))
+        drawn = Drawn(margin[sample], NO_MAP if noises is None else array_of(noises[sample]))
         parts = [
-            _part(part, returns.beam, tables[name].of_sample(sample), noise, name, sample, receiver.threshold)
+            part_of(
+                part,
+                returns.beam,
+                tables[name].of_sample(sample),
+                array_of(noise[f"particle_returns.{name}_arrival"][sample]),
+                array_of(noise[f"particle_returns.{name}_place"][sample]),
+                float(receiver.threshold),
+            )
             for name, part in returns.kinds.items()
         ]
-        parts += [_nothing()] * (3 - len(parts))
+        parts += [no_part()] * (3 - len(parts))
         own = partial(weather_beams, out, cloud, drawn, parts[0], parts[1], parts[2], receiver)
         tasks += [partial(own, first, last) for first, last in pairwise(edges)]
     side_by_side(tasks)
@@ -160,19 +159,8 @@ def weathered(chain: Chain, state: LidarState, noise: Mapping[str, Tensor]) -> L
     )
 
 
-def _returns(chain: Chain) -> ParticleReturns:
-    found = next(stage for stage in chain.stages.values() if isinstance(stage, ParticleReturns))
-    return found
-
-
-def _array(values: Tensor) -> Array:
-    """A tensor's values as float32 in row-major order."""
-    array: Array = values.detach().float().contiguous().numpy()
-    return array
-
-
 def _map_of(values: Tensor | None) -> Array:
-    return NO_MAP if values is None else _array(values)
+    return NO_MAP if values is None else array_of(values)
 
 
 def _receiver(energy: ToEnergy, returns: ParticleReturns, to_points: ToPoints) -> Receiver:
@@ -199,56 +187,3 @@ def _receiver(energy: ToEnergy, returns: ParticleReturns, to_points: ToPoints) -
     }
     values = {name: np.float32(float(value)) for name, value in single.items()}
     return Receiver(**values, unit=UNITS[sensor.intensity_unit], mode=MODES.index(sensor.return_mode))
-
-
-def _nothing() -> Part:
-    from torchweather.lidar.compiled_beams import Part
-
-    return Part(NO_ROW, NO_ROW, NO_ROW, NO_MAP, NO_MAP, 2, 2, 2, 2, *([np.float32(0.0)] * 10))
-
-
-def _part(
-    part: BeamParticles | SoftReturn,
-    beam: Beam,
-    table: ReturnTable,
-    noise: Mapping[str, Tensor],
-    kind: str,
-    sample: int,
-    threshold: np.float32,
-) -> Part:
-    """Returns of one kind of weather for one sample."""
-    from torchweather.lidar.compiled_beams import Part
-
-    arrival, place = (_array(noise[f"particle_returns.{kind}_{name}"][sample]) for name in ("arrival", "place"))
-    grid = part.grid
-    if isinstance(part, SoftReturn):
-        photon_signal = float(beam.threshold / part.photons_at_threshold)
-        low, step = part.root_low, part.root_step
-        faintest = (math.sqrt(float(threshold) / photon_signal) - low) / step
-    else:
-        photon_signal, low, step = 0.0, part.log_low, part.log_step
-        faintest = (math.log(float(threshold)) - low) / step
-    signal = _array(table.signal[0])
-    axis = (
-        *(1.0 / LATE_STEP, math.log(ARRIVAL_LOW) / LATE_STEP),
-        *(grid.near_m, grid.scale_m, (grid.nodes - 1) / grid.stretch, grid.stretch / (grid.nodes - 1)),
-        *(low, step, photon_signal, _never(signal.reshape(table.places, ARRIVAL_NODES), faintest)),
-    )
-    flat = (signal, _array(table.share[0]), _array(table.place[0]), arrival, place)
-    sizes = (table.places, table.signals, ARRIVAL_NODES, PLACE_NODES)
-    return Part(*flat, *sizes, *(np.float32(value) for value in axis))
-
-
-def _never(signal: Array, faintest: float) -> float:
-    """Variate of an arrival from which on no beam has an echo of a place on the axis of signals.
-
-    Args:
-        signal: ``(places, arrivals)``; it falls with the arrival.
-        faintest: the place.
-    """
-    counts = np.flatnonzero(signal.max(0) >= faintest - SLACK)
-    last = 1 + int(counts[-1]) if counts.size else 0
-    if last >= ARRIVAL_NODES - 1:
-        return 2.0
-    arrival = ARRIVAL_LOW * math.exp(LATE_STEP * last) * (1.0 + SLACK)
-    return -math.expm1(-arrival) + 1e-7

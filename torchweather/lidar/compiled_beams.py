@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from torchweather.core.compiled import jit
 from torchweather.core.compiled_math import exp_of, log_of_sum
+from torchweather.lidar.returns.compiled_echoes import Part, position_of, range_before, row_before, signal_at
 from torchweather.pipeline.point_kind import PointKind
 
-__all__ = ["UNITS", "Cloud", "Drawn", "Out", "Part", "Receiver", "weather_beams"]
+__all__ = ["UNITS", "Cloud", "Drawn", "Out", "Receiver", "weather_beams"]
 
 Array = NDArray[np.float32]
 
@@ -90,40 +91,6 @@ class Drawn(NamedTuple):
     range_noise: Array
 
 
-class Part(NamedTuple):
-    """Returns of one kind of weather.
-
-    Args:
-        signal, share, place: of its ``ReturnTable``, flat.
-        arrival, at: ``(echoes, N)`` variates; ``(0, 0)``: there is no such kind.
-        nodes, signals, arrivals, places: numbers of the table's nodes.
-        late_scale, late_shift: from ln of an arrival to its node.
-        near_m, scale_m, position_scale, stretch: of the grid of ranges.
-        low, step, photon_signal: of the axis of signals; photons of fog go with the square, 0 of particles.
-        never: variate of the arrival from which on no echo counts.
-    """
-
-    signal: Array
-    share: Array
-    place: Array
-    arrival: Array
-    at: Array
-    nodes: int
-    signals: int
-    arrivals: int
-    places: int
-    late_scale: np.float32
-    late_shift: np.float32
-    near_m: np.float32
-    scale_m: np.float32
-    position_scale: np.float32
-    stretch: np.float32
-    low: np.float32
-    step: np.float32
-    photon_signal: np.float32
-    never: np.float32
-
-
 class Receiver(NamedTuple):
     """The sensor, in single precision.
 
@@ -182,17 +149,6 @@ class Echoes(NamedTuple):
 
 
 @jit
-def _between(low: np.float32, high: np.float32, share: np.float32) -> np.float32:
-    return low + share * (high - low) if share < HALF else high - (ONE - share) * (high - low)
-
-
-@jit
-def _node(position: np.float32, nodes: int) -> int:
-    """Node at or below a place, such that there is one after it."""
-    return min(max(int(np.floor(position)), 0), nodes - 2)
-
-
-@jit
 def _clear_signal(
     given: np.float32, range_m: np.float32, uniform: np.float32, zero_intensity: np.float32, receiver: Receiver
 ) -> np.float32:
@@ -245,46 +201,24 @@ def _add_objects(
 def _add_particles(echoes: Echoes, reach_m: Array, faintest: np.float32, part: Part, first: int) -> None:
     """Add the echoes of one kind of weather to the lists of a block of beams, as ``ParticleReturns``."""
     most = part.arrival.shape[0]
-    last_node, last_arrival = np.float32(part.nodes - 1), np.float32(part.arrivals - 1)
-    arrivals, places, row_of, share_of, place_of = part.arrival, part.at, part.signal, part.share, part.place
+    arrivals, places = part.arrival, part.at
     ranges, signals, counts = echoes.range_m, echoes.signal, echoes.number
     for at in range(counts.size if most > 0 else 0):
         beam = first + at
         far_m = reach_m[beam]
         if arrivals[0, beam] >= part.never or not far_m > part.near_m:
             continue
-        position = log_of_sum(ONE, (far_m - part.near_m) / part.scale_m) * part.position_scale
-        position = min(position, last_node)
-        column = _node(position, part.nodes)
-        beyond, arrived, count = position - np.float32(column), ZERO, counts[at]
+        position = position_of(part, far_m)
+        arrived, count = ZERO, counts[at]
         for echo in range(most):
             arrived -= log_of_sum(ZERO, ONE - arrivals[echo, beam])
-            late = log_of_sum(ZERO, arrived) * part.late_scale - part.late_shift if arrived > ZERO else ZERO
-            late = min(max(late, ZERO), last_arrival)
-            early = _node(late, part.arrivals)
-            own, index = late - np.float32(early), column * part.arrivals + early
-            here = _between(row_of[index], row_of[index + 1], own)
-            index += part.arrivals
-            row = _between(here, _between(row_of[index], row_of[index + 1], own), beyond)
+            row = row_before(part, position, arrived)
             if not row > ZERO:
                 break
-            if part.photon_signal > ZERO:
-                root = part.low + part.step * row
-                signal = root * root * part.photon_signal
-            else:
-                signal = exp_of(part.low + part.step * row)
+            signal = signal_at(part, row)
             if signal < faintest:
                 break
-            node = _node(row, part.signals)
-            index = node * part.nodes + column
-            before = _between(share_of[index], share_of[index + 1], beyond) * places[echo, beam]
-            before = min(max(before, ZERO), ONE)
-            v = np.sqrt(before / (ONE + np.sqrt(ONE - before))) * np.float32(part.places - 1)
-            place = _node(v, part.places)
-            index = node * part.places + place
-            found = min(_between(place_of[index], place_of[index + 1], v - np.float32(place)), position)
-            grown = exp_of(found * part.stretch) - ONE
-            ranges[at, count] = min(part.near_m + part.scale_m * grown, far_m)
+            ranges[at, count] = range_before(part, row, position, places[echo, beam], far_m)
             signals[at, count] = signal
             count += 1
         counts[at] = count

@@ -31,6 +31,7 @@ from torchweather.lidar.returns.beam_particles import (
     RATE_NODES,
     BeamParticles,
 )
+from torchweather.lidar.returns.compiled_calls import compiled_echoes, compiles
 from torchweather.lidar.returns.soft_return import SoftReturn
 from torchweather.lidar.returns.strongest import ReturnTable, strongest_before
 from torchweather.lidar.sensor import CALIBRATION_REFLECTIVITY, Lidar
@@ -561,7 +562,9 @@ class ParticleReturns(Stage):
 
         if table is not None and not is_exporting():
             own = (table, state.air.beam_density, faintest)
-            return _echoes_of_table(part, beam, reach_m, arrival, place, *own)
+            used = (state.air.reach_m, arrival, place, table.signal, table.share, table.place, *own[1:])
+            drawn = compiled_echoes if compiles(part, used) else _echoes_of_table
+            return drawn(part, beam, reach_m, arrival, place, *own)
 
         def strongest(arrived: Tensor, own_place: Tensor) -> tuple[Tensor, Tensor, Tensor]:
             if table is not None:
@@ -635,7 +638,10 @@ class ParticleReturns(Stage):
         inputs += [value for value in (density, sizes) if value is not None]
 
         def solved(own: Tensor) -> ReturnTable:
-            return ReturnTable.of(*part.tables(beam, own, density, sizes=sizes))
+            of_air = (beam, own, density)
+            if isinstance(part, BeamParticles) and compiles(part, (*inputs, own)):
+                return ReturnTable.compiled(part.compiled_between(*of_air, sizes=sizes))
+            return ReturnTable.of(*part.tables(*of_air, sizes=sizes))
 
         if is_exporting() or any(value.requires_grad for value in inputs):
             return solved(extinction)

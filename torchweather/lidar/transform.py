@@ -27,6 +27,7 @@ from torchweather.lidar.clouds import check_points
 from torchweather.lidar.conditions import lidar_conditions
 from torchweather.lidar.doppler import RadialSpeed
 from torchweather.lidar.expected_detection import expected_detection
+from torchweather.lidar.faintest_echo import through_stages
 from torchweather.lidar.frame_check import warn_of_frame
 from torchweather.lidar.intensity import are_integers, borrowed_intensity, zero_intensity
 from torchweather.lidar.options import LidarOptions
@@ -52,9 +53,7 @@ VARIANTS = ("d3_4",)
 LOST_AS = ("zero", "nan", "drop")
 BEAM_ENDS = ("scene", "max_range")
 BEAMS_AT_ONCE = 1 << 19  # arrays of 2 MB
-# Stages to which an echo below the threshold is none; an effect may lower the threshold, or look at all echoes.
 PLAIN = {ToEnergy, Extinction, ParticleReturns, Detection, ToPoints}
-LOOK_AT_DETECTED = PLAIN | {PatchyAir, RadialSpeed}
 Cloud = Tensor | list[Tensor]
 
 
@@ -664,18 +663,7 @@ class LidarWeather(WeatherTransform):
             return compiled.weathered(self.chain, state, flat)
         if self._is_large(state):
             return self._in_portions(state, flat)
-        return self._in_chain(state, flat)
-
-    def _in_chain(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
-        """The state after the chain; where all its stages look at detected echoes alone, the others are not drawn."""
-        stages = self.chain.stages
-        if is_exporting() or not {type(stage) for stage in stages.values()} <= LOOK_AT_DETECTED:
-            found: LidarState = self.chain(state, noise)
-            return found
-        for name, stage in stages.items():
-            own = self.chain.noise_of(name, noise)
-            state = stage(state, own, **({"faintest": state.receiver.threshold} if name == "particle_returns" else {}))
-        return state
+        return through_stages(self.chain, state, flat)
 
     def _is_large(self, state: LidarState) -> bool:
         """Check whether the cloud is worked on in portions of its beams."""
@@ -694,7 +682,8 @@ class LidarWeather(WeatherTransform):
         found = []
         for start in range(0, beams, size):
             part = slice(start, start + size)
-            found.append(self._in_chain(state.of_beams(part), {key: value[..., part] for key, value in noise.items()}))
+            own = {key: value[..., part] for key, value in noise.items()}
+            found.append(through_stages(self.chain, state.of_beams(part), own))
         joined: dict[str, Any] = {}
         for name in ("points", "second", "kind", "reach_m", "path_density"):
             values = [part.field(name) for part in found]

@@ -136,6 +136,10 @@ class LidarWindowLoss(Effect):
     reads: ClassVar[tuple[str, ...]] = ("returns.signal",)
     writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold: none grows."""
+        return 1.0
+
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """All signals, weaker."""
         return {"signal": state.returns.signal * signal_gain(-self.value("loss_db", state.returns.signal))}
@@ -388,6 +392,10 @@ class LidarParticleBackscatter(Effect):
     reads: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.signal")
     writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
 
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold, of all samples."""
+        return float(signal_gain(self.get_buffer("gain_db")).max())
+
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The particles' signals."""
         gained = state.returns.signal * signal_gain(self.value("gain_db", state.returns.signal))
@@ -474,6 +482,10 @@ class LidarSectorLoss(Effect):
         "returns.signal",
     )
     writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
+
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold: none grows."""
+        return 1.0
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signals in the sector, weaker."""
@@ -563,6 +575,10 @@ class LidarSpray(Effect):
         *("receiver.sensor", "receiver.threshold", "receiver.threshold_scale"),
     )
     writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
+
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold: none grows."""
+        return 1.0
 
     def variates(self) -> tuple[Variate, ...]:
         """Arrival (the E above, as ``1 - exp(-E)``) and place of the strongest return of each beam."""

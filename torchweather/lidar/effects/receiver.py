@@ -141,6 +141,10 @@ class LidarThresholdShift(Effect):
     reads: ClassVar[tuple[str, ...]] = ("receiver.threshold", "receiver.threshold_scale", "scene.points_in")
     writes: ClassVar[tuple[str, ...]] = ("receiver.threshold_scale",)
 
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold, of all samples."""
+        return float(signal_gain(-self.get_buffer("shift_db")).max())
+
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Threshold over the sensor's."""
         return {"threshold_scale": signal_gain(self.value("shift_db", state.receiver.threshold)).expand(state.batch)}
@@ -168,6 +172,10 @@ class LidarBlindZone(Effect):
     each_beam_alone: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = ("returns.range_m", "returns.signal")
     writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
+
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold: none grows."""
+        return 1.0
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Signals, 0 in the zone."""
@@ -285,6 +293,10 @@ class LidarLastReturn(Effect):
         *("receiver.threshold", "receiver.threshold_scale"),
     )
     writes: ClassVar[tuple[str, ...]] = ("returns.signal",)
+
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold: none grows."""
+        return 1.0
 
     def variates(self) -> tuple[Variate, ...]:
         """A number a beam."""

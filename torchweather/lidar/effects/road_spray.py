@@ -70,6 +70,10 @@ class LidarRoadSpray(Effect):
     )
     writes: ClassVar[tuple[str, ...]] = ("returns.kind", "returns.range_m", "returns.signal")
 
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold: none grows."""
+        return 1.0
+
     def variates(self) -> tuple[Variate, ...]:
         """Variates of the spray's density; strongest gate of each part of each beam, and place in it."""
         return BILLOWS, Variate("arrival", "uniform", (PARTS, "N")), Variate("place", "uniform", ("N",))

@@ -183,18 +183,25 @@ class BeamParticles(nn.Module):
         next_per_m = torch.cat([per_m[:, 1:], torch.zeros_like(per_m[:, :1])], 1)
         return self.grid.integrated((per_m - next_per_m).clamp_min(0.0))
 
-    def compiled_between(self, beam: Beam, extinction_per_m: Tensor, nodes: Tensor | None = None) -> Tensor:
-        """As ``between`` in air without effects, by compiled loops; to rounding.
+    def compiled_between(
+        self,
+        beam: Beam,
+        extinction_per_m: Tensor,
+        density_scale: Tensor | None = None,
+        sizes: Tensor | None = None,
+        nodes: Tensor | None = None,
+    ) -> Tensor:
+        """As ``between`` in air without patches, by compiled loops; to rounding.
 
         Args:
-            beam, extinction_per_m: as of ``between``.
+            beam, extinction_per_m, density_scale, sizes: as of ``between``.
             nodes: some nodes of the signal, in order; ``None`` is all of them.
         """
         from torchweather.lidar.returns.compiled_table import Air, Sizes, count_between
 
         single = [values.float() for values in self._seen(beam, extinction_per_m)]
         full, diameter_m, area_m2 = (values.expand(len(extinction_per_m), -1, -1).contiguous() for values in single)
-        tails = self._tails(len(extinction_per_m)).float().contiguous().numpy()
+        tails = self._tails_in(len(extinction_per_m), density_scale, sizes).float().contiguous().numpy()
         nodes = torch.arange(SIGNAL_NODES) if nodes is None else nodes
         signal = torch.exp(self.log_low + self.log_step * nodes).numpy()
         log_step = math.log(self.largest_m / self.smallest_m) / (DIAMETER_NODES - 1)
@@ -223,11 +230,7 @@ class BeamParticles(nn.Module):
         full, diameter_m, area_m2 = self._seen(beam, extinction_per_m, air)
         signal = torch.exp(self.log_low + self.log_step * nodes.to(full.device))
         ratio = signal[:, None, None] / full.clamp_min(1e-30)[:, None]  # (B, E, cells, G): share of the full beam
-        tails = self._tails(batch)
-        if sizes is not None:
-            tails = self._of_sizes(tails, sizes.to(tails))
-        if density_scale is not None:
-            tails = tails * density_scale.to(tails)[:, None]
+        tails = self._tails_in(batch, density_scale, sizes)
         density = None if air is None else air.density_at(self.grid.quadrature_m)
         position, seen = self._needed(ratio, diameter_m, tails, density)
         node = position.detach().floor().clamp_max(DIAMETER_NODES - 2).to(torch.int64)
@@ -342,6 +345,13 @@ class BeamParticles(nn.Module):
         tails: Tensor = self.tail(self.rate_mm_per_h.reshape(-1))
         return of_beams((tails - FEW_PER_M3).clamp_min(0.0), batch)
 
+    def _tails_in(self, batch: int, density_scale: Tensor | None, sizes: Tensor | None) -> Tensor:
+        """``_tails`` in the air of the effects; arguments as of ``between``."""
+        tails = self._tails(batch)
+        if sizes is not None:
+            tails = self._of_sizes(tails, sizes.to(tails))
+        return tails if density_scale is None else tails * density_scale.to(tails)[:, None]
+
     def _of_sizes(self, tails: Tensor, factors: Tensor) -> Tensor:
         """N_> ``(B, D)`` with the number of each size times a factor, linear in ln D between the knots ``(B, knots)``.
 
@@ -399,7 +409,7 @@ class BeamParticles(nn.Module):
             clear = torch.zeros(self.rate_mm_per_h.numel())
             nodes = torch.stack([node, node + 1.0])
             if uses_compiled() and not self.published and not is_exporting():
-                above = self.compiled_between(beam, clear, nodes)[..., -1].flip(1).cumsum(1).flip(1)
+                above = self.compiled_between(beam, clear, nodes=nodes)[..., -1].flip(1).cumsum(1).flip(1)
             else:
                 above = (self._per_m(beam, clear, nodes) * self.grid.quadrature_width_m).sum((-2, -1))
             logs = (above + NOTHING).log()

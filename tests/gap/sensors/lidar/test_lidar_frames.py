@@ -12,6 +12,7 @@ import torch
 
 from tests.gap.tiny_study import INTENSITY_NOISE, RANGE_NOISE_M, SENSOR, tiny_study
 from torchweather.atmosphere.weather import Fog, Rain, Snow
+from torchweather.core.compiled import SWITCH
 from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.sensors.lidar.scene import CLUSTER_M, SAME_SURFACE_M
 from torchweather.gap.sensors.lidar.systematics import WeakSignalNoise
@@ -53,6 +54,17 @@ def group(model: LidarFrames, frames: Reduced, statistic: str, axis: str, what: 
         if (one.statistic, one.axis) == (statistic, axis):
             return getattr(frames, what)[:, part]
     raise AssertionError(f"no {statistic} along {axis}")
+
+
+def test_compiled_sums_are_those_of_torch(model: LidarFrames, study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    for condition in study.conditions:
+        found = []
+        for flag in ("1", "0"):
+            monkeypatch.setenv(SWITCH, flag)
+            found.append(model.measured(condition))
+        # Sums of hundreds of values in single precision, and logarithms by polynomials.
+        assert_same(*found, tolerance=2e-5)
+        assert not np.array_equal(found[0].value, found[1].value)  # two paths indeed
 
 
 # ---- what a frame is compared with -----------------------------------------------------------------------------------

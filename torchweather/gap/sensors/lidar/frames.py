@@ -33,6 +33,7 @@ from torchweather.gap.statistics.frame_random_effects import widened
 from torchweather.gap.statistics.frame_statistics import Reduced
 from torchweather.gap.study.study import Condition, Study
 from torchweather.lidar.effects.all import EFFECTS
+from torchweather.lidar.faintest_echo import particle_gain, through_stages
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.stages import Extinction, ParticleReturns, ToEnergy, ToPoints
 from torchweather.lidar.state import LidarState
@@ -52,6 +53,7 @@ FOG_GAIN_SD = 0.1
 FOG_MISPLACED = 0.03  # of the returns of fog: how far down its peak a noisy waveform is read, order of magnitude
 FOG_RANGE_SHARE = 0.1  # of the pulse length, by which receivers differ in where they see fog; order of magnitude
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
+PARTICLE_GAINS = (1.0, 1.25, 2.0, 4.0, 16.0)  # factors by which effects may brighten particles, rounded up
 
 
 class LidarFrames:
@@ -227,7 +229,10 @@ class LidarFrames:
         before = tuple(
             (name, str(chain.stages[name].config())) for name in names[:first] if name not in transform.chain.stages
         )
-        key = (condition.id, log_intensity, tuple(seeds), first, before)
+        after = list(chain.stages.values())
+        at = next((place for place, stage in enumerate(after) if isinstance(stage, ParticleReturns)), len(after))
+        gain = _stepped(particle_gain(after[at + 1 :]))
+        key = (condition.id, log_intensity, tuple(seeds), first, before, gain)
         kept = self._kept.get(key)
         if kept is None:
             # The scale of a frame is one of the reading: detection does not know of it.
@@ -235,17 +240,24 @@ class LidarFrames:
             points = torch.cat([self.direction * range_m[..., None], intensity[..., None]], -1)
             state = transform.state_of(points, self.direction)
             state = state.changed(grid=self.grid, cos_incidence=_row(scene.cos_incidence), up=_row(scene.up))
-            kept = self._part(chain, condition, log_intensity, state, seeds, 0, first)
+            kept = self._part(chain, condition, log_intensity, state, seeds, gain, 0, first)
             if own:
                 self._keep(key, kept)
-        state = self._part(chain, condition, log_intensity, kept, seeds, first, len(names))
+        state = self._part(chain, condition, log_intensity, kept, seeds, gain, first, len(names))
         last = chain.stages[ToPoints.default_name]
         assert isinstance(last, ToPoints)
         range_m, intensity = last.measurement(state, self._noise(chain, last.default_name, condition, state, seeds))
         return range_m, intensity * scene.gain[row, None]
 
     def _part(
-        self, chain: Chain, condition: Condition, log_intensity: float, state: LidarState, seeds: list[int], *ends: int
+        self,
+        chain: Chain,
+        condition: Condition,
+        log_intensity: float,
+        state: LidarState,
+        seeds: list[int],
+        gain: float,
+        *ends: int,
     ) -> LidarState:
         """The state after some of the stages of a chain."""
         part = Chain(dict(list(chain.stages.items())[slice(*ends)]))
@@ -255,8 +267,7 @@ class LidarFrames:
             for variate, drawn in self._noise(part, name, condition, state, seeds).items()
         }
         with _intensity(part, condition, log_intensity):
-            found: LidarState = part(state, noise)
-        return found
+            return through_stages(part, state, noise, gain)
 
     def _noise(
         self, chain: Chain, name: str, condition: Condition, state: LidarState, seeds: list[int]
@@ -291,6 +302,11 @@ def _clear_scale_sd(scenes: Mapping[str, LidarScene]) -> dict[str, float]:
         return dict.fromkeys(scenes, 0.0)
     one_frame = squares / degrees * widened(degrees)
     return {name: math.sqrt(one_frame / len(scene.log_scale)) for name, scene in scenes.items()}
+
+
+def _stepped(gain: float) -> float:
+    """The next larger of a few gains of particles, so that states are shared by effects of similar strength."""
+    return next((step for step in PARTICLE_GAINS if step >= gain), math.inf)
 
 
 @contextmanager

@@ -133,7 +133,8 @@ def lidar_scene(
                 gain = log_scale.exp().float()
             constant, variance_at_threshold = _variances(apart[:, stable] - log_scale[:, None], margin_db[-1, stable])
             reading_std = math.sqrt(constant)
-    isolated = ~has_neighbour(mean_range[-1].float()[None], grid, 2.0 * CLUSTER_M)[0]
+    beams = torch.arange(mean_range.shape[1])
+    isolated = ~has_neighbour(mean_range[-1].float()[None], grid, 2.0 * CLUSTER_M, beams)
     bins, edges = _bins(direction, mean_range, mean_intensity, margin_db, isolated, stable, with_intensity, geometry)
     return LidarScene(
         range_m=range_m,
@@ -217,16 +218,29 @@ def _evenly(low: float, high: float, bins: int) -> tuple[float, ...]:
     return tuple(float(value) for value in np.linspace(low - 1e-6, high + 1e-6, bins + 1))
 
 
-def has_neighbour(range_m: Tensor, grid: tuple[int, int], within_m: float) -> Tensor:
-    """Whether a neighbour of a return ``(F, N)``, of eight around it, is a return of nearly its range."""
-    image = torch.where(range_m > 0, range_m, torch.nan).reshape(-1, *grid)  # nothing is near a NaN
-    found = torch.zeros_like(image, dtype=torch.bool)
-    if grid[1] > 1:
-        beside = (image - image.roll(1, -1)).abs() < within_m
-        found |= beside | beside.roll(-1, -1)
-    upper, lower = image[:, :-1], image[:, 1:]
-    for aside in (-1, 0, 1):
-        near = (lower - upper.roll(aside, -1)).abs() < within_m
-        found[:, 1:] |= near
-        found[:, :-1] |= near.roll(-aside, -1)
-    return found.reshape(range_m.shape)
+def has_neighbour(range_m: Tensor, grid: tuple[int, int], within_m: float, which: Tensor) -> Tensor:
+    """Whether a neighbour of a return, of eight around it, is a return of nearly its range.
+
+    Args:
+        range_m: ``(F, N)`` of the frames, 0 where no return.
+        grid: rows and columns of the scan; the last column is beside the first.
+        within_m: that is nearly its range.
+        which: ``(K,)`` places of the returns that are asked for, in the flattened frames.
+
+    Returns:
+        ``(K,)`` bool.
+    """
+    (rows, columns), flat = grid, range_m.flatten()
+    beam = which % range_m.shape[1]
+    row, column = beam // columns, beam % columns
+    first, own_m = which - beam, flat[which]
+    found = torch.zeros_like(which, dtype=torch.bool)
+    for up in (-1, 0, 1):
+        beside_row = row + up
+        inside = (beside_row >= 0) & (beside_row < rows)
+        for aside in (-1, 0, 1):
+            if up == 0 and (aside == 0 or columns == 1):
+                continue
+            beside = first + beside_row.clamp(0, rows - 1) * columns + (column + aside) % columns
+            found |= inside & (flat[beside] > 0) & ((flat[beside] - own_m).abs() < within_m)
+    return found & (own_m > 0)

@@ -13,12 +13,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from torchweather.core.compiled import uses_compiled
 from torchweather.gap.sensors.lidar.scene import CLUSTER_M, FAINTEST, LidarScene, has_neighbour
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Reduced
+
+if TYPE_CHECKING:
+    from torchweather.gap.sensors.lidar.compiled_sums import Surfaces
 
 __all__ = ["LidarSums", "lidar_layout", "map_cells"]
 
@@ -109,14 +116,14 @@ class _Beams:
     def __init__(self, scene: LidarScene, which: Tensor, axes: Sequence[str]) -> None:
         self.beam = which.nonzero()[:, 0]
         self.place: dict[str, slice] = {}
-        self._bins = {axis: scene.bins[axis][:, self.beam] for axis in axes}  # (K + 1, S)
+        self.bins = {axis: scene.bins[axis][:, self.beam] for axis in axes}  # (K + 1, S)
         self._count = {axis: len(scene.edges[axis]) - 1 for axis in axes}
         # One row where the bins are the same whatever a frame is compared with.
-        shared = all(bool((bins == bins[:1]).all()) for bins in self._bins.values())
+        shared = all(bool((bins == bins[:1]).all()) for bins in self.bins.values())
         start = 0
         hot = []
         for axis in axes:
-            bins, count = self._bins[axis][: 1 if shared else None], self._count[axis]
+            bins, count = self.bins[axis][: 1 if shared else None], self._count[axis]
             one = torch.zeros(*bins.shape, count + 1)
             one.scatter_(2, bins.where(bins >= 0, count)[..., None], 1.0)
             hot.append(one[..., :count])
@@ -125,9 +132,24 @@ class _Beams:
         self._hot = torch.cat(hot, 2)
         self._number = self._hot.sum(1, dtype=torch.float64)
 
+    def places(self, row: int) -> NDArray[np.int32]:
+        """Place of each beam's bin along each axis ``(axes, S)`` in the sums of a frame; -1 outside."""
+        of_axes = [
+            torch.where(bins[row] >= 0, bins[row] + self.place[axis].start, -1).int()
+            for axis, bins in self.bins.items()
+        ]
+        return torch.stack(of_axes).contiguous().numpy() if of_axes else np.zeros((0, len(self.beam)), np.int32)
+
     def number(self, row: Tensor) -> Tensor:
         """Number of beams in each bin ``(F, bins)``."""
         return self._number[row.clamp_max(len(self._number) - 1)]
+
+    def summed(self, values: Tensor, row: Tensor, portion: Tensor, portions: int) -> tuple[Tensor, Tensor]:
+        """Number of beams ``(F * portions, bins)``, and sums ``(F * portions, R, bins)`` of values ``(F, R, S)``."""
+        if portions == 1:
+            return self.number(row), self.whole(values, row)
+        one = torch.ones(len(row), 1, len(self.beam))
+        return self.portioned(one, row, portion, portions)[:, 0], self.portioned(values, row, portion, portions)
 
     def whole(self, values: Tensor, row: Tensor) -> Tensor:
         """Sums ``(F, R, bins)`` of values ``(F, R, S)``; frames with the same bins in one product."""
@@ -143,7 +165,7 @@ class _Beams:
         """Sums ``(F * portions, R, bins)``, each over the beams of one portion ``(N,)``."""
         own = portion[self.beam]
         parts = []
-        for axis, bins in self._bins.items():
+        for axis, bins in self.bins.items():
             count = self._count[axis]
             index = torch.where(bins[row] >= 0, own * count + bins[row], portions * count)[:, None].expand(values.shape)
             sums = torch.zeros(*values.shape[:2], portions * count + 1, dtype=torch.float64)
@@ -182,6 +204,7 @@ class LidarSums:
         sector = (azimuth + math.pi) / (2.0 * math.pi) * MAP_SECTORS
         self._sector = sector.long().clamp(0, MAP_SECTORS - 1)
         self._portion: dict[int, Tensor] = {}
+        self._compiled_surfaces: dict[int, Surfaces] = {}
 
     def __call__(self, range_m: Tensor, intensity: Tensor, row: Tensor, portions: int = 1) -> Reduced:
         """Sums of frames ``(F, N)``.
@@ -192,23 +215,17 @@ class LidarSums:
             portions: into which the beams are divided at random, the same ones in each frame; the result then has
                 ``F * portions`` rows, one for each frame and portion, frame by frame.
         """
-        compared, before = self._compared(range_m, intensity, row)
         of_empty = range_m[:, self.nothing.beam] > 0
         portion = self._portions(range_m.shape[1], portions)
+        before, of_surfaces, of_standing = self._of_surfaces(range_m, intensity, row, portion, portions)
         particles, maps, near = self._particles(range_m, intensity, before, of_empty, portion, portions)
         sums: dict[tuple[str, str], Tensor] = {}  # of a value along an axis, ``(F, bins)``
-        everywhere = compared[:, : len(OF_SURFACES)]
-        for beams, names, values in (
-            (self.surfaces, (*OF_SURFACES, *OF_THE_SAME), compared),
-            (self.standing, OF_SURFACES, everywhere),
-            (self.nothing, ("of_empty",), of_empty[:, None].float()),
+        empty = of_empty[:, None].float()
+        for beams, names, (number, summed) in (
+            (self.surfaces, (*OF_SURFACES, *OF_THE_SAME), of_surfaces),
+            (self.standing, OF_SURFACES, of_standing),
+            (self.nothing, ("of_empty",), self.nothing.summed(empty, row, portion, portions)),
         ):
-            if portions == 1:
-                number, summed = beams.number(row), beams.whole(values, row)
-            else:
-                one = torch.ones(len(row), 1, len(beams.beam))
-                number = beams.portioned(one, row, portion, portions)[:, 0]
-                summed = beams.portioned(values, row, portion, portions)
             for axis, place in beams.place.items():
                 sums |= {(name, axis): summed[:, line, place] for line, name in enumerate(names)}
                 sums["empty" if beams is self.nothing else "stable", axis] = number[:, place]
@@ -233,6 +250,52 @@ class LidarSums:
             1,
         )
         return Reduced(weight, value, square, scalar.numpy(), maps[:, None].numpy())
+
+    def _of_surfaces(
+        self, range_m: Tensor, intensity: Tensor, row: Tensor, portion: Tensor, portions: int
+    ) -> tuple[Tensor, tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+        """Which stable beams see a particle ``(F, S)``; numbers and sums along the axes that follow the reference, and
+        along those that do not."""
+        if portions == 1 and uses_compiled():
+            return self._compiled(range_m, intensity, row)
+        compared, before = self._compared(range_m, intensity, row)
+        found = (
+            beams.summed(values, row, portion, portions)
+            for beams, values in ((self.surfaces, compared), (self.standing, compared[:, : len(OF_SURFACES)]))
+        )
+        return before, next(found), next(found)
+
+    def _compiled(
+        self, range_m: Tensor, intensity: Tensor, row: Tensor
+    ) -> tuple[Tensor, tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+        """As ``_of_surfaces``, by compiled loops; to rounding."""
+        from torchweather.gap.sensors.lidar.compiled_sums import sum_frame
+
+        numbers = self.surfaces.number(row), self.standing.number(row)
+        sizes = (numbers[0].shape[1], len(OF_SURFACES) + len(OF_THE_SAME)), (numbers[1].shape[1], len(OF_SURFACES))
+        sums = [np.zeros((len(row), *size)) for size in sizes]
+        before = np.zeros((len(row), len(self.surfaces.beam)), np.bool_)
+        ranges, levels = (values.float().contiguous().numpy() for values in (range_m, intensity))
+        for frame, reference in enumerate(row.tolist()):
+            own = sums[0][frame], sums[1][frame], before[frame], ranges[frame], levels[frame]
+            sum_frame(*own, self._surfaces_of(reference))
+        of_surfaces, of_standing = (torch.from_numpy(one).transpose(1, 2) for one in sums)
+        return torch.from_numpy(before), (numbers[0], of_surfaces), (numbers[1], of_standing)
+
+    def _surfaces_of(self, reference: int) -> Surfaces:
+        """The stable beams beside one reference, as compiled loops take them."""
+        from torchweather.gap.sensors.lidar.compiled_sums import Surfaces
+
+        if reference not in self._compiled_surfaces:
+            self._compiled_surfaces[reference] = Surfaces(
+                self.surfaces.beam.int().numpy(),
+                self._reference[reference].float().contiguous().numpy(),
+                self._reference_intensity[reference].float().contiguous().numpy(),
+                self.surfaces.places(reference),
+                self.standing.places(reference),
+                *(np.float32(one) for one in (self.scene.tolerance_m, self.scene.noise_m, FAINTEST)),
+            )
+        return self._compiled_surfaces[reference]
 
     def _compared(self, range_m: Tensor, intensity: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
         """What became of each stable beam ``(F, rows, S)``, and which of them see a particle ``(F, S)``."""
@@ -282,7 +345,7 @@ class LidarSums:
         beam = torch.cat([self.surfaces.beam[place_1], self.nothing.beam[place_2]])
         flat = frame * range_m.shape[1] + beam
         own = range_m.flatten()[flat]
-        clustered = has_neighbour(range_m, self.grid, CLUSTER_M).flatten()[flat]
+        clustered = has_neighbour(range_m, self.grid, CLUSTER_M, flat)
         level = intensity.flatten()[flat].double()
         bright = level > 0
         level = level.clamp_min(FAINTEST).log() * bright

@@ -39,6 +39,10 @@ class WeakSignalNoise(Effect):
     after: ClassVar[str] = "particle_returns"
     axes: ClassVar[tuple[str, ...]] = ("margin",)
 
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold: none grows."""
+        return 1.0
+
     def variates(self) -> tuple[Variate, ...]:
         """A number a beam."""
         return (Variate("noise", "normal", ("N",)),)
@@ -70,6 +74,10 @@ class ClearScale(Effect):
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("log_scale", "1", -2.0, 2.0, scale=5e-3, identity=0.0),)
     after: ClassVar[str] = "particle_returns"
     axes: ClassVar[tuple[str, ...]] = ("margin",)
+
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold: none grows."""
+        return 1.0
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal of the objects."""
@@ -118,6 +126,10 @@ class EchoGain(Effect):
     arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("share", "1", -0.9, 9.0, scale=0.05, identity=0.0),)
     after: ClassVar[str] = "particle_returns"
     axes: ClassVar[tuple[str, ...]] = ("kind",)
+
+    def particle_gain(self) -> float:
+        """Largest factor of a particle's signal over the threshold, of all samples."""
+        return 1.0 + float(self.get_buffer("share").max())
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The signal of the particles."""
