@@ -302,7 +302,7 @@ def validate(
 
 @dataclass(frozen=True)
 class Work:
-    """What `validate` is asked for; fields as its arguments."""
+    """Request to `validate`; fields as its arguments."""
 
     seed: int
     names: Sequence[str] | None
