@@ -201,7 +201,16 @@ def thinned(state: CameraState, image: Tensor, steps_px: tuple[int, int]) -> Ten
     down, across = steps_px
     if state.receiver.cfa_index is None:
         return image[..., ::down, ::across].flatten(2)
-    return torch.stack([image[:, 0, y::down, x::across].flatten(1) for y in (0, 1) for x in (0, 1)], 1)
+    some = _phases(image, down // 2, across // 2)
+    return some.reshape(*some.shape[:2], some.shape[2] * some.shape[3])  # flatten has more operations in a graph
+
+
+def _phases(mosaic: Tensor, down: int = 1, across: int = 1) -> Tensor:
+    """Planes ``(B, 4, rows, columns)`` of the phases of a mosaic ``(B, 1, H, W)``, from some of its cells."""
+    b, _, height, width = mosaic.shape
+    cells = mosaic.reshape(b, height // 2, 2, width // 2, 2)[:, ::down, :, ::across]
+    rows, columns = cells.shape[1], cells.shape[3]
+    return cells.permute(0, 2, 4, 1, 3).reshape(b, 4, rows, columns)
 
 
 def _neutral(light: Tensor) -> Tensor:
@@ -250,8 +259,7 @@ def _is_compiled(signal: Tensor) -> bool:
 
 def _pooled(signal: Tensor) -> Tensor:
     """Means of the 3 x 3 neighbourhoods of each phase, ``(B, 4, H / 2, W / 2)``."""
-    planes = torch.cat([signal[:, :, y::2, x::2] for y in (0, 1) for x in (0, 1)], 1)
-    return torch.nn.functional.avg_pool2d(planes, 3, stride=1, padding=1, count_include_pad=False)
+    return torch.nn.functional.avg_pool2d(_phases(signal), 3, stride=1, padding=1, count_include_pad=False)
 
 
 def _edge(means: Tensor) -> Tensor:
@@ -267,7 +275,8 @@ def per_colour(cells: Tensor, state: CameraState) -> Tensor:
     """Mean over the cells of each colour, ``(B, 2, 2)`` to ``(B, 3)``."""
     cfa = state.receiver.cfa_index
     assert cfa is not None
-    return torch.stack([(cells * (cfa == c)).sum((1, 2)) / (cfa == c).sum().clamp_min(1) for c in range(3)], 1)
+    own = (cfa.flatten() == torch.arange(3, device=cfa.device)[:, None]).to(cells.dtype)  # (3, 4)
+    return (cells.reshape(-1, 1, 4) * own).sum(-1) / own.sum(-1).clamp_min(1)
 
 
 def frame_mean(state: CameraState) -> Tensor:

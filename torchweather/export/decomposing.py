@@ -180,6 +180,7 @@ RULES: dict[Any, Callable[[fx.Graph, fx.Node], fx.Node]] = {
     aten.square.default: _square,
     aten.rsub.Scalar: _reversed_difference,
     aten.sym_numel.default: _number_of_entries,
+    aten.item.default: _as(aten._local_scalar_dense.default),
     aten.numpy_T.default: _permuted,
     aten.movedim.int: _permuted,
 }

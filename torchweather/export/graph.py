@@ -228,5 +228,7 @@ def tidy(model: Any) -> None:
 
     common.InlinePass()(model)
     optimizer.fold_constants(model)
+    common.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
+    common.DeduplicateInitializersPass()(model)
     common.CommonSubexpressionEliminationPass()(model)
     optimizer.remove_unused_nodes(model)

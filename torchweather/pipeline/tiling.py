@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchweather.core.threads import side_by_side
 
-__all__ = ["by_rows", "is_exporting"]
+__all__ = ["by_rows", "is_exporting", "rows_of"]
 
 # Pixels in a band: 0.5 MB of float32.
 BAND_PIXELS = 1 << 17
@@ -22,6 +22,11 @@ BAND_PIXELS = 1 << 17
 def is_exporting() -> bool:
     """True while a graph is traced: then nothing may depend on values."""
     return torch.compiler.is_compiling()
+
+
+def rows_of(image: Tensor, first: int, last: int) -> Tensor:
+    """Rows ``first..last`` of an image ``(..., H, W)``, as a view; a graph has one band of all rows."""
+    return image if is_exporting() else image[..., first:last, :]
 
 
 def by_rows(

@@ -1,7 +1,8 @@
-"""Marks with their own rows against the same on one footprint for all, mark by mark (``add_static``)."""
+"""Deposits by classes of columns (``add_listed``) and by pairs (``add_pairs``) against every pixel of every mark."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from torchweather.camera.particles import streaks
 from torchweather.camera.particles.depth_blocks import DepthBlocks
-from torchweather.camera.particles.streaks import Marks, add_listed, add_static
+from torchweather.camera.particles.streaks import Marks, add_listed, add_pairs, chord_share, trapezoid_share
 
 HEIGHT, WIDTH, NUMBER = 48, 40, 60
 
@@ -36,10 +37,32 @@ def marks_of(lean: float | None, widest_px: float) -> Marks:
     )
 
 
+def covered(marks: Marks, k: int) -> Tensor:
+    """Coverage ``(H, W)`` by one mark: each pixel's share along the path times its share across it."""
+    frame = streaks._frame(marks.take(slice(k, k + 1)))
+    steep = frame.steep is None or bool(frame.steep)
+    rows, columns = (HEIGHT, WIDTH) if steep else (WIDTH, HEIGHT)
+    down, aside = torch.arange(rows)[:, None], torch.arange(columns)
+    offset = down - frame.major
+    minor = frame.minor if frame.slope is None else frame.minor + frame.slope * offset
+    left, right = aside - 0.5 - minor, aside + 0.5 - minor
+    share = chord_share(right / frame.across) - chord_share(left / frame.across)
+    reach = 0.5 * frame.across
+    breadth = torch.minimum(right, reach) - torch.maximum(left, -reach)
+    chord = frame.chord
+    if float(frame.width) > 1.0:  # the disk's area in the column over its breadth
+        mean = (math.pi / 4) * frame.width * share * frame.across / breadth.clamp_min(1e-3)
+        chord = torch.minimum(mean.clamp_min(1e-2), frame.width)
+    ends = (trapezoid_share(offset + side, frame.length, chord) for side in (-0.5, 0.5))
+    above, below = ends
+    coverage = (frame.area * share * (below - above)).clamp(0.0, 1.0 - 2.0**-20)
+    return coverage if steep else coverage.T
+
+
 @pytest.mark.parametrize("by_columns", [False, True])
 @pytest.mark.parametrize("widest_px", [0.9, 7.0])
 @pytest.mark.parametrize("lean", [None, 0.0, 0.4, -2.5])
-def test_marks_of_like_columns_add_up_to_those_on_one_footprint(
+def test_marks_of_like_columns_and_pairs_add_up_to_every_pixel_of_every_mark(
     lean: float | None, widest_px: float, by_columns: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(streaks, "PAIRS_AT_ONCE", 97)  # several portions of a class
@@ -47,9 +70,11 @@ def test_marks_of_like_columns_add_up_to_those_on_one_footprint(
     depth_m = torch.full((HEIGHT, WIDTH), 100.0)
     depth_m[:, : WIDTH // 2] = 12.0
     wanted, faded = (torch.zeros(HEIGHT * WIDTH) for _ in range(2))
+    assert marks.clearness is not None
     for k in range(NUMBER):
-        one = marks.take(slice(k, k + 1))
-        add_static(wanted, faded, one, depth_m.flatten(), (HEIGHT, WIDTH), (90, 20))
+        optical = -torch.log1p(-covered(marks, k)) * (marks.depth_m[k] < depth_m)
+        wanted += optical.flatten()
+        faded += (optical * marks.clearness[k]).flatten()
 
     def laid(image: Tensor) -> Tensor:
         return (image.T if by_columns else image).flatten()
@@ -61,6 +86,9 @@ def test_marks_of_like_columns_add_up_to_those_on_one_footprint(
         # The order of a sum, and of differences between the ends of a long path: some steps of float32.
         for ours, theirs in ((found, wanted), (found_faded, faded)):
             torch.testing.assert_close(ours, laid(theirs.view(HEIGHT, WIDTH)), rtol=1e-4, atol=2e-6)
+    by_pairs = add_pairs(torch.zeros_like(wanted), torch.zeros_like(wanted), marks, depth_m.flatten(), (HEIGHT, WIDTH))
+    for pairs, theirs in zip(by_pairs, (wanted, faded), strict=True):
+        torch.testing.assert_close(pairs, theirs, rtol=1e-4, atol=2e-6)
     assert float(wanted.max()) > 0.05
 
 
@@ -68,7 +96,10 @@ def test_marks_of_several_samples_stay_apart() -> None:
     marks = marks_of(0.3, 3.0)
     depth_m = torch.full((2 * HEIGHT * WIDTH,), 100.0)
     sample = torch.arange(NUMBER) % 2
-    both, _ = add_listed(torch.zeros_like(depth_m), None, replace(marks, sample=sample), depth_m, (HEIGHT, WIDTH))
+    nothing = torch.zeros_like(depth_m)
+    both, _ = add_listed(nothing.clone(), None, replace(marks, sample=sample), depth_m, (HEIGHT, WIDTH))
+    by_pairs, _ = add_pairs(nothing, None, replace(marks, sample=sample), depth_m, (HEIGHT, WIDTH))
+    torch.testing.assert_close(by_pairs, both, rtol=1e-4, atol=2e-6)
     for k in range(2):
         own = replace(marks, **{name: getattr(marks, name)[k::2] for name in FIELDS})
         alone = torch.zeros(HEIGHT * WIDTH)

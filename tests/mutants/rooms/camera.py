@@ -6,6 +6,9 @@ from tests.mutants.mutant import Mutant
 
 CAMERA = "torchweather.camera.fog"
 STREAKS = "torchweather.camera.particles.streaks"
+DEPOSIT = (
+    "tests/camera/particles/test_deposit.py::test_marks_of_like_columns_and_pairs_add_up_to_every_pixel_of_every_mark"
+)
 MOSAIC_BLUR = "torchweather.camera.mosaic_blur"
 BAYER = "torchweather.camera.bayer"
 AIRLIGHT = "torchweather.camera.airlight"
@@ -182,7 +185,28 @@ MUTANTS = (
         STREAKS,
         "return along.index_copy_(-1, self.first, share.index_select(-1, self.first))",
         "return along",
-        ("tests/camera/particles/test_deposit.py::test_marks_of_like_columns_add_up_to_those_on_one_footprint",),
+        (DEPOSIT,),
+    ),
+    Mutant(
+        "pairs_blind_to_depth",
+        "a graph's streak hides only behind what is nearer",
+        STREAKS,
+        "own.depth_m < depth_m.gather(0, pixel)",
+        "own.depth_m > depth_m.gather(0, pixel)",
+        (DEPOSIT,),
+    ),
+    Mutant(
+        "haze_of_a_graph_leans_the_other_way",
+        "the haze's streaks lean as its particles move",
+        "torchweather.camera.particles.haze_convolution",
+        "column = reach + whole + aside",
+        "column = reach - whole + aside",
+        (
+            (
+                "tests/camera/particles/test_haze_convolution.py::"
+                "test_one_convolution_gives_the_sums_of_shifted_maps[lean-size0]"
+            ),
+        ),
     ),
     Mutant(
         "draws_stop_short_of_the_rate",

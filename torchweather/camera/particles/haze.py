@@ -20,10 +20,11 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.night.lamp_light import NEAREST_M
+from torchweather.camera.particles.haze_convolution import streaky_maps
 from torchweather.camera.state import CameraState
 from torchweather.core.device_normals import normals_by_torch
 from torchweather.core.random import normals_of_key
-from torchweather.pipeline.tiling import is_exporting
+from torchweather.pipeline.tiling import is_exporting, rows_of
 
 if TYPE_CHECKING:
     from torchweather.camera.particles.population import AtRate, Population
@@ -62,12 +63,9 @@ def haze_depth(
     """
     t = population.tables
     b, _, _, width = state.image.signal.shape
-    rows = (..., slice(first, last), slice(None))
     intrinsics = state.scene.intrinsics.float()
     focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
-    depth_m = state.scene.depth_m[rows].float().clamp(1e-6, population.far_m)
-    if is_exporting():
-        focal, depth_m = focal.expand(b), depth_m.expand(b, 1, last - first, width)
+    depth_m = rows_of(state.scene.depth_m, first, last).float().clamp(1e-6, population.far_m)
     # What all samples have in common, such as one depth map and one rate, is looked up once.
     scale = focal.view(-1, 1, 1, 1)
     if state.air.particle_reach_m is not None:
@@ -75,13 +73,13 @@ def haze_depth(
     foot = depth_m / scale
     read = _reader((torch.log(foot) - t.log_footprint_low) / t.log_footprint_step, tables.haze_depth.shape[1])
     on_axis, variance = read(tables.haze_depth) * scale, read(tables.haze_variance) * scale
-    ray = state.scene.ray_per_depth[rows].float()
+    ray = rows_of(state.scene.ray_per_depth, first, last).float()
 
     fields = noise[f"{population.weather.kind}_haze"].to(state.image.signal.device)  # (B, J, H, W)
     deviation = _deviation(population, tables, variance, fields, first, last, scale) * ray
     mean, variance = on_axis * ray, variance * ray.square()
     if tables.path_density is not None:
-        denser = tables.path_density[rows]
+        denser = rows_of(tables.path_density, first, last)
         mean, variance, deviation = mean * denser, variance * denser, deviation * denser.clamp_min(0.0).sqrt()
     # -ln(1 - m) has the mean of m plus half of its variance: the mean transmission stays exp(-mean).
     everywhere = not is_exporting() and bool(mean.amin() > LEAST) and bool(variance.amin() > LEAST)
@@ -89,8 +87,8 @@ def haze_depth(
         centre = mean + 0.5 * variance
     else:
         there = (mean > LEAST) & (variance > LEAST)
-        variance = torch.where(there, variance, torch.ones_like(variance))
-        centre = torch.where(there, mean, torch.ones_like(mean)) + 0.5 * variance
+        variance = torch.where(there, variance, 1.0)
+        centre = torch.where(there, mean, 1.0) + 0.5 * variance
     spread = torch.log1p(variance / centre.square())
     optical = centre * torch.exp(torch.sqrt(spread / variance) * deviation - 0.5 * spread)
     if not everywhere:
@@ -115,15 +113,19 @@ def numbers_of_keys(keys: Tensor, shape: tuple[int, ...]) -> Tensor:
 
 def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:
     """Interpolates tables ``(1 or B, nodes)`` at fractional node numbers ``(1 or B, 1, rows, W)``, the ends held."""
-    cell = node.detach().floor().clamp(0, nodes - 2)
+    cell = node.detach().floor().clamp(0.0, nodes - 2.0)
     share = (node - cell).clamp(0.0, 1.0)
     place = cell.int()
 
     def read(table: Tensor) -> Tensor:
         at = place
-        if is_exporting() or len(table) > 1:
+        if len(table) > 1:
             row = torch.arange(table.shape[0], device=node.device, dtype=torch.int32)
             at = at + (row * nodes).view(-1, 1, 1, 1)
+        if is_exporting():  # gather and few operations are fast there
+            below = at.long().reshape(-1)
+            low, high = (table.reshape(-1).gather(0, flat).view(at.shape) for flat in (below, below + 1))
+            return low + share * (high - low)
         step = torch.nn.functional.pad(table[:, 1:] - table[:, :-1], (0, 1))
         low, rise = (one.reshape(-1).index_select(0, at.reshape(-1)).view(at.shape) for one in (table, step))
         return low + share * rise
@@ -141,8 +143,10 @@ def _deviation(
     scale: Tensor,
 ) -> Tensor:
     """Sum of the shells' noise maps, each with the variance of its part in front of the scene."""
+    if is_exporting():
+        return _deviation_at_once(tables, variance, streaky_maps(fields, tables, population), population, scale)
     total = variance.new_zeros(())
-    learns = is_exporting() or variance.requires_grad  # the root's gradient at 0 is infinite
+    learns = variance.requires_grad  # the root's gradient at 0 is infinite
     for number, shell in enumerate(population.haze_shells):
         smooth = _streaky(fields, tables, first, last, population, number)
         low = tables.haze_variance[:, shell.first_node].view(-1, 1, 1, 1) * scale
@@ -156,6 +160,19 @@ def _deviation(
             root = inside.clamp_min_(0.0).sqrt_()
         total = total + root * smooth
     return total
+
+
+def _deviation_at_once(tables: AtRate, variance: Tensor, maps: Tensor, population: Population, scale: Tensor) -> Tensor:
+    """``_deviation`` of all shells in few operations, of their maps ``(1, J, H, W)``."""
+
+    def at_ends(nodes: list[int]) -> Tensor:
+        place = torch.tensor(nodes, device=scale.device)
+        return tables.haze_variance.index_select(1, place).view(1, len(nodes), 1, 1) * scale
+
+    low = at_ends([shell.first_node for shell in population.haze_shells])
+    high = at_ends([shell.last_node for shell in population.haze_shells])
+    inside = torch.minimum(variance, high) - low
+    return (inside.clamp_min(0.0).sqrt() * maps).sum(1, keepdim=True)
 
 
 def _mean_clear(
@@ -266,7 +283,7 @@ def _along_columns(band: Tensor, kernel: Tensor, slope: float, taps: int) -> Ten
         rolled = torch.roll(band, -tap, -1) if tap else band
         return _blend(tap * slope, lambda shift: rolled[..., lean + shift : lean + shift + rows, :])
 
-    if slope or taps >= width or is_exporting() or kernel.requires_grad or band.requires_grad:
+    if slope or taps >= width or kernel.requires_grad or band.requires_grad:
         return _weighted(part, kernel, taps)
     # In place, and what goes beyond an edge to the other one.
     middle = kernel.shape[-1] // 2
@@ -284,7 +301,7 @@ def _weighted(part: Callable[[int], Tensor], kernel: Tensor, taps: int) -> Tenso
     """Sum of shifted maps ``part(-taps..taps)`` with the weights of a kernel ``(B, J, weights)``."""
     middle = kernel.shape[-1] // 2
     total = part(0) * kernel[:, :, middle, None, None]
-    learns = is_exporting() or total.requires_grad
+    learns = total.requires_grad
     for tap in range(1, taps + 1):
         for way in (-tap, tap):
             weight = kernel[:, :, middle + way, None, None]
@@ -305,10 +322,7 @@ def _blend(shift: float, shifted: Callable[[int], Tensor]) -> Tensor:
 def _row_window(image: Tensor, first: int, last: int) -> Tensor:
     """Rows ``first..last`` of an image that repeats downwards."""
     height = image.shape[-2]
-    if not is_exporting() and first >= 0 and last <= height:
+    if first >= 0 and last <= height:
         return image[..., first:last, :]
     index = torch.arange(first, last, device=image.device)
-    if is_exporting():  # ONNX has no remainder by a size; the window is shorter than two images
-        index = torch.where(index < 0, index + height, index)
-        return image.index_select(-2, torch.where(index >= height, index - height, index))
     return image.index_select(-2, index % height)

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from torchweather.atmosphere.density_field import Banks
 from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.camera.fog import ground_rays, over_ground
 from torchweather.camera.particles.depth_blocks import BLOCK_PX, DepthBlocks
 from torchweather.camera.particles.image_motion import ImageMotion
-from torchweather.camera.particles.streaks import Marks, add_listed, add_static
+from torchweather.camera.particles.streaks import Marks, add_listed, add_pairs
 from torchweather.camera.particles.tables import MarkOptics, particle_tables
 from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
@@ -39,7 +40,6 @@ SUMS = 4  # partial sums of the optical depth, filled side by side
 POINTS_AT_ONCE = 1 << 16  # points of all shells whose arrays stay in the cache
 # By which a second use of the draw is displaced in column, row and depth: powers of the root of x^4 = x + 1.
 DISPLACED = (0.8191725134, 0.6710436067, 0.5497004779)
-STEEPEST = 1.6  # longest sideways path over the fall's, in an exported graph: the bound of camera.wind_slant
 SLOWEST = 0.1  # of a rolling shutter relative to a particle, in rows: beyond that its mark grows no longer
 # Columns of a point: image column and row, depth, level.
 COLUMN_U, COLUMN_V, COLUMN_DEPTH, COLUMN_LEVEL, COLUMNS = 0, 1, 2, 3, 4
@@ -314,18 +314,24 @@ class Population(nn.Module):
         ``count`` ``(1 or B,)`` are the particles for each one.
         """
         rate = self.rate_mm_per_h.float().reshape(-1)
-        if is_exporting():  # a graph's batch may have any size
-            rate = rate.expand(batch)
         falls = rate > 0
-        safe = torch.where(falls, rate, torch.ones_like(rate))
+        safe = torch.where(falls, rate, 1.0)
         position = (torch.log(safe) - self.tables.log_rate_low) / self.tables.log_rate_step
         cell = position.detach().floor().clamp(0, len(self.tables.tail_at_cut) - 2)
         share = position - cell  # beyond the ends: the end cells' power law
         index = cell.long()
 
-        def rows(table: Tensor) -> Tensor:
-            weight = share.reshape(-1, *[1] * (table.ndim - 1))
+        both = torch.cat([index, index + 1])
+
+        def between(table: Tensor, weight: Tensor) -> Tensor:
+            if is_exporting():  # of one rate, few operations
+                weights = torch.cat([1 - weight, weight]).view(2, *[1] * (table.ndim - 1))
+                return (table.index_select(0, both) * weights).sum(0, keepdim=True)
+            weight = weight.reshape(-1, *[1] * (table.ndim - 1))
             return table.float()[index] * (1 - weight) + table.float()[index + 1] * weight
+
+        def rows(table: Tensor) -> Tensor:
+            return between(table, share)
 
         amount = falls.to(rate.dtype)[:, None]
         if count is not None:
@@ -335,8 +341,7 @@ class Population(nn.Module):
         held = share.clamp_min(0.0)
 
         def linear(table: Tensor) -> Tensor:
-            weight = held.reshape(-1, *[1] * (table.ndim - 1))
-            return table.float()[index] * (1 - weight) + table.float()[index + 1] * weight
+            return between(table, held)
 
         return AtRate(
             rows(self.tails_at_cut),  # type: ignore[arg-type]
@@ -354,7 +359,7 @@ class Population(nn.Module):
 
     def undistorted(self, u: Tensor, v: Tensor, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
         """Undistorted normalised coordinates of image positions, for intrinsics ``(..., 4)``."""
-        fx, fy, cx, cy = intrinsics.unbind(-1)
+        fx, fy, cx, cy = (intrinsics[..., k] for k in range(4))
         return self.camera.undistort((u - cx) / fx, (v - cy) / fy)
 
     def marks(self, state: CameraState, noise: Mapping[str, Tensor], tables: AtRate, number: int) -> Iterator[Marks]:
@@ -363,7 +368,7 @@ class Population(nn.Module):
         Absent particles are left out; while a graph is traced they stay, with opacity 0.
         """
         if is_exporting():
-            for part in self._parts_of(state, self._every_point(state, noise, number), tables):
+            for part in self._parts_of(state, self._every_point(state, noise, (number,)), tables):
                 yield self._marks(state, part, tables, None)
             return
         for row in range(state.batch):
@@ -371,12 +376,21 @@ class Population(nn.Module):
                 for part in self._parts_of(state, points, tables):
                     yield self._marks(state, part, tables, None)
 
-    def _every_point(self, state: CameraState, noise: Mapping[str, Tensor], number: int) -> _Points:
-        """All slots of a shell of all samples, as a graph has them."""
-        points = noise[f"{self.weather.kind}_shell_{number}"].to(state.image.signal.device)
-        batch, slots, _ = points.shape
-        sample = torch.arange(batch, device=points.device)[:, None].expand(batch, slots).reshape(-1)
-        return _Points(points.reshape(-1, COLUMNS), None if batch == 1 else sample, number)
+    def _every_point(self, state: CameraState, noise: Mapping[str, Tensor], shells: Sequence[int]) -> _Points:
+        """All slots of some shells, as a graph has them.
+
+        Raises:
+            InputValueError: there are several samples.
+        """
+        if state.batch != 1:
+            raise InputValueError(
+                f"ParticleVeil: a graph holds one sample; got a batch of {state.batch}. Export with a batch of 1."
+            )
+        names = [f"{self.weather.kind}_shell_{number}" for number in shells]
+        # The shell's number is a column more.
+        each = [pad(noise[name], (0, 1), value=float(n)) for name, n in zip(names, shells, strict=True)]
+        points = torch.cat(each, 1)[0].to(state.image.signal.device)
+        return _Points(points[:, :COLUMNS], None, points[:, COLUMNS].long())
 
     def _points_of(
         self,
@@ -690,21 +704,20 @@ class Population(nn.Module):
     def _every_depth(
         self, state: CameraState, noise: Mapping[str, Tensor], tables: AtRate, fog_per_m: Tensor | None, *, lit: bool
     ) -> tuple[Tensor, Tensor | None]:
-        """``listed_depth`` of every slot, of one footprint for each shell: no shape depends on a value."""
-        b, _, height, width = state.image.signal.shape
-        depth = state.scene.depth_m.float().expand(b, 1, height, width).reshape(-1)
-        total = torch.zeros(b * height * width, device=depth.device, dtype=torch.float32)
+        """``listed_depth`` of every slot of one sample, of all shells in one pass, as a graph holds it."""
+        height, width = state.image.signal.shape[-2:]
+        depth = state.scene.depth_m.float().reshape(-1)
+        total = torch.zeros_like(depth)
         faded = torch.zeros_like(total) if fog_per_m is not None or lit else None
-        for number in range(len(self.tables.listed)):
-            for part in self._parts_of(state, self._every_point(state, noise, number), tables):
-                marks = self._marks(state, part, tables, None)
-                if lit:
-                    marks = replace(marks, clearness=self._lamplight(marks, state, part.sample))
-                elif fog_per_m is not None:
-                    marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m, part.sample))
-                footprint = self._footprint_px(number, slanted=part.slanted)
-                total, faded = add_static(total, faded, marks, depth, (height, width), footprint)
-        shape = (b, 1, height, width)
+        every = self._every_point(state, noise, range(len(self.tables.listed)))
+        for part in self._parts_of(state, every, tables):
+            marks = self._marks(state, part, tables, None)
+            if lit:
+                marks = replace(marks, clearness=self._lamplight(marks, state, part.sample))
+            elif fog_per_m is not None:
+                marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m, part.sample))
+            total, faded = add_pairs(total, faded, marks, depth, (height, width))
+        shape = (1, 1, height, width)
         return total.view(shape), None if faded is None else faded.view(shape)
 
     def _clearness(self, marks: Marks, state: CameraState, fog_per_m: Tensor, sample: Tensor | int | None) -> Tensor:
@@ -725,17 +738,6 @@ class Population(nn.Module):
         values = self.lamp_values(state).expand(state.batch, -1, -1, -1, -1)
         place = (sample, marks.u_px, marks.v_px, marks.depth_m, (size[0], size[1]))
         return state.air.lamp_light.at_points(values, *place)
-
-    def _footprint_px(self, number: int, *, slanted: bool = False) -> tuple[int, int]:
-        """Rows and columns that hold any mark of the shell, for a graph of fixed footprint."""
-        reach_u, reach_v = self.reach_px(number)
-        upright = self.vertical and not slanted
-        along = math.ceil(2 * reach_v) if upright else math.ceil(2 * max(reach_u, reach_v))
-        if slanted:
-            along = math.ceil(along * STEEPEST)
-        return along + 1, math.ceil(self.width_max_px(number) * math.sqrt(1.0 if upright else 2.0)) + (
-            2 if upright else 4
-        )
 
 
 def mark_growth(x: Tensor, y: Tensor) -> Tensor:
@@ -778,12 +780,17 @@ def _whole(sample: Tensor | int | None) -> int:
 
 def _of_shell(values: Tensor, shell: Tensor | int) -> Tensor:
     """A value of each shell ``(shells,)`` at each point's."""
-    return values[shell] if isinstance(shell, int) else values.index_select(0, shell)
+    return values[shell] if isinstance(shell, int) else _at(values, shell)
 
 
 def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
-    cell = position.detach().floor().clamp(0, nodes - 2)
+    cell = position.detach().floor().clamp(0.0, nodes - 2.0)
     return cell.long(), (position - cell).clamp(0.0, 1.0)
+
+
+def _at(values: Tensor, place: Tensor) -> Tensor:
+    """Entries of ``(n,)`` at places ``(P,)``; of two equal operations, that which is fast in torch or in a graph."""
+    return values.gather(0, place) if is_exporting() else values.index_select(0, place)
 
 
 def _read(table: Tensor, cell: Tensor, share: Tensor, row: Tensor | int | None = None) -> Tensor:
@@ -792,5 +799,5 @@ def _read(table: Tensor, cell: Tensor, share: Tensor, row: Tensor | int | None =
         at, flat = row * table.shape[-1] + cell, table.reshape(-1)
     else:
         at, flat = cell, table if table.ndim == 1 else _row_of(table, row if isinstance(row, int) else 0)
-    low = flat.index_select(0, at)
-    return torch.lerp(low, flat.index_select(0, at + 1), share)
+    low, high = _at(flat, at), _at(flat, at + 1)
+    return low + share * (high - low) if is_exporting() else torch.lerp(low, high, share)

@@ -37,7 +37,7 @@ from torchweather.core.random import Variate
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.pipeline.registry import register
 from torchweather.pipeline.stage import Stage
-from torchweather.pipeline.tiling import by_rows, is_exporting
+from torchweather.pipeline.tiling import by_rows, is_exporting, rows_of
 
 __all__ = ["REFLECTED_SHARE", "ParticleVeil"]
 
@@ -376,32 +376,32 @@ class ParticleVeil(Stage):
             ]
 
         def band(first: int, last: int, into: Tensor | None) -> tuple[Tensor, ...]:
-            rows = (..., slice(first, last), slice(None))
             depths, lights = [], []
             for part, table, (sharp, sharp_faded), colour, sharp_lit in zip(
                 self.parts, tables, listed, colours, lit, strict=True
             ):
                 haze, haze_faded = haze_depth(part, state, noise, table, first, last, fog_per_m)
-                depths.append(state.by_cells(sharp[rows] + haze))
+                depths.append(state.by_cells(rows_of(sharp, first, last) + haze))
                 if sharp_faded is not None and haze_faded is not None:
-                    faded = state.by_cells(sharp_faded[rows] + haze_faded)
+                    faded = state.by_cells(rows_of(sharp_faded, first, last) + haze_faded)
                     colour = self._through_fog(state, colour, faded, depths[-1])
                 if sharp_lit is not None and lamp_colour is not None:
                     haze_lit = haze_by_torch(part, state, noise, table, first, last, lit=True)[1]
                     assert haze_lit is not None
-                    shown = state.by_cells(sharp_lit[rows] + haze_lit) / depths[-1].clamp_min(FAINTEST)
+                    shown = state.by_cells(rows_of(sharp_lit, first, last) + haze_lit) / depths[-1].clamp_min(FAINTEST)
                     colour = colour + shown * lamp_colour
                 lights.append(colour)
             total = sum(depths[1:], depths[0])
             mask = -torch.expm1(-total).to(state.image.signal.dtype)
             if state.scene.near_mask is not None:  # nothing falls between the lens and the own vehicle
-                mask = mask * (1.0 - state.by_cells(state.scene.near_mask[rows]).to(mask.dtype))
+                mask = mask * (1.0 - state.by_cells(rows_of(state.scene.near_mask, first, last)).to(mask.dtype))
             if len(lights) == 1:
                 light = lights[0].to(mask.dtype)
             else:
                 light = sum(d * c for d, c in zip(depths, lights, strict=True)) / total.clamp_min(FAINTEST)
             weight = mask if contrast is None else mask * contrast.view(-1, 1, 1, 1, 1)
-            signal = torch.lerp(state.by_cells(state.image.signal[rows]), light.to(mask.dtype), weight).flatten(2, 3)
+            clear = rows_of(state.image.signal, first, last)
+            signal = torch.lerp(state.by_cells(clear), light.to(mask.dtype), weight).reshape(clear.shape)
             if contrast is not None:  # more than the whole way to the particles' colour may leave what there is
                 signal = torch.where(contrast.view(-1, 1, 1, 1) == 1, signal, signal.clamp(0.0, 1.0))
             return (signal, mask.flatten(2, 3)) if state.receiver.keep_truth else (signal,)
