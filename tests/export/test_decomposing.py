@@ -15,6 +15,7 @@ aten = torch.ops.aten
 # Operations that ONNX does not have, as torch's exporter hands them over.
 TABLE: dict[Any, Callable[..., Any]] = {
     aten.square.default: torch.square,
+    aten.item.default: torch.Tensor.item,
     aten.rsub.Scalar: lambda a, b: b - a,
     aten.neg_.default: lambda a: -a,
     aten.__and__.Tensor: torch.bitwise_and,
@@ -30,7 +31,7 @@ class Every(torch.nn.Module):
         whole = (x > 0) & (x < 1) | (x == 5)
         shares = (1 - x.square()).exp().neg_().neg_() * whole.to(x.dtype)
         turned = shares.T.movedim(-1, 0).double().float().reshape(-1)
-        return torch.special.ndtr(turned) + x.flatten().numel() + x.numel()
+        return torch.special.ndtr(turned) + x.flatten().numel() + x.numel() + whole.sum().item()
 
 
 class Shared(torch.nn.Module):
@@ -64,7 +65,7 @@ def test_every_rule_gives_the_numbers_of_the_operation_at_another_size() -> None
     assert not left & {*TABLE, aten.to.dtype, aten.numpy_T.default, aten.movedim.int, aten.sym_numel.default}
     other = torch.linspace(-1.0, 5.0, 35).reshape(5, 7)
     (found,) = program.graph_module(other)
-    torch.testing.assert_close(found, Every()(other), rtol=0, atol=1e-6)  # roundings of float32 below 72
+    torch.testing.assert_close(found, Every()(other), rtol=0, atol=1e-5)  # roundings of float32 below 128
 
 
 @pytest.mark.filterwarnings("ignore::FutureWarning")  # torch's own, inside its way

@@ -196,11 +196,11 @@ MUTANTS = (
         (DEPOSIT,),
     ),
     Mutant(
-        "haze_of_a_graph_leans_the_other_way",
-        "the haze's streaks lean as its particles move",
+        "haze_of_a_graph_blends_the_wrong_column",
+        "a leaning streak is blended of the two columns that it lies between",
         "torchweather.camera.particles.haze_convolution",
-        "column = reach + whole + aside",
-        "column = reach - whole + aside",
+        "places[row, place, column] = (1 - share) / energy",
+        "places[row, place, column] = share / energy",
         (
             (
                 "tests/camera/particles/test_haze_convolution.py::"
