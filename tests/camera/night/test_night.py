@@ -106,6 +106,18 @@ def test_a_given_lamp_is_where_its_position_says_and_one_behind_is_no_error() ->
     assert float(found[1, 71, 80]) > 10 * float(found[1, 71, 150])
 
 
+def test_a_given_lamp_behind_a_wall_is_left_out_unless_the_frame_shows_it() -> None:
+    light, depth = torch.full((3, 144, 192), 0.001), torch.full((1, 144, 192), 20.0)
+    lamp = Night(own="none", lamps=(Lamp((40.0, 4.0, 1.5), 500.0),))
+    hidden = linear(tw.Fog(80.0), lamp, light, depth, airlight=0.0)
+    assert torch.equal(hidden, linear(tw.Fog(80.0), DARK, light, depth, airlight=0.0))
+    for distance_m in (37.6, math.inf):  # nearer by 0.5 m and 5 % of 40 m is 37.5 m: the lamp's own car, and nothing
+        seen = linear(tw.Fog(80.0), lamp, light, torch.full_like(depth, distance_m), airlight=0.0)
+        assert float(seen[1, 71, 80]) > 10 * float(hidden[1, 71, 80])
+    light[:, 71:73, 79:82] = 1.0  # the frame shows a lamp where the depth has a wall
+    assert float(linear(tw.Fog(80.0), lamp, light, depth, airlight=0.0)[1, 71, 76]) > 3 * float(hidden[1, 71, 76])
+
+
 def test_a_lamp_in_the_picture_shows_its_beam_towards_the_camera() -> None:
     size, night = (144, 192), Night(own="none")
 

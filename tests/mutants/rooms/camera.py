@@ -39,6 +39,14 @@ MUTANTS = (
         ("tests/camera/effects/test_mirrored.py::test_water_on_a_guessed_ground_mirrors_as_level",),
     ),
     Mutant(
+        "a_lamp_shines_through_a_wall",
+        "a given lamp behind a nearer surface is left out",
+        "torchweather.camera.night.stages",
+        "elif not self._hidden(view, sample, state):",
+        "else:",
+        ("tests/camera/night/test_night.py::test_a_given_lamp_behind_a_wall_is_left_out_unless_the_frame_shows_it",),
+    ),
+    Mutant(
         "a_lamp_shines_at_the_camera_wherever_it_points",
         "a lamp in the picture shows the intensity of its beam towards the camera",
         "torchweather.camera.night.found_lamps",

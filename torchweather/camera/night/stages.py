@@ -13,7 +13,7 @@ from torch import Tensor
 from torchweather.atmosphere.weather import Fog, Rain, Snow, Weather, weather_from_dict
 from torchweather.camera.airlight import frame_mean
 from torchweather.camera.fog import FADING_COLOUR, ExtinctionAndAirlight
-from torchweather.camera.night.found_lamps import LampInView, found_lamps, lamp_in_view
+from torchweather.camera.night.found_lamps import BRIGHT, LampInView, found_lamps, lamp_in_view
 from torchweather.camera.night.lamp_light import (
     LEAST_DISTANCE_M,
     FogOptics,
@@ -33,12 +33,16 @@ from torchweather.pipeline.tiling import is_exporting
 __all__ = ["DAY_ABOVE", "LampVeil", "NightLamps", "OwnLight"]
 
 DAY_ABOVE = 0.15  # of saturation, mean of a frame: a night frame is darker, its lamps included
+# A surface hides a lamp where it is nearer by more than this: a car's front holds its lamps, and depths err.
+LAMP_IN_FRONT_M, DEPTH_ERROR = 0.5, 0.05
 SURFACE_ALBEDO = 0.15  # of a street, to tell how much of a surface's light comes from the own headlamps
 
 
 @register
 class NightLamps(Stage):
     """Lamps of a night scene, before any weather: which there are, how bright beyond saturation, what they light.
+
+    A given lamp behind a surface that is nearer is left out, unless the frame shows a bright spot there.
 
     A lamp saturates the frame: the light beyond it is taken from its intensity. In fog it fades from there, and its
     glow is that light, scattered onward (``multiple_scattering.py``).
@@ -147,9 +151,18 @@ class NightLamps(Stage):
             view = lamp_in_view(lamp, (size[0], size[1]), camera, self.night, mosaic=mosaic)
             if view is None:
                 outside.append(lamp)
-            else:
+            elif not self._hidden(view, sample, state):
                 seen.append(view)
         return seen, outside
+
+    @staticmethod
+    def _hidden(lamp: LampInView, sample: int, state: CameraState) -> bool:
+        """Whether a surface stands in front of all of a lamp's pixels, and the frame shows no bright spot there."""
+        rows, columns = (torch.from_numpy(one).to(state.scene.depth_m.device) for one in (lamp.rows, lamp.columns))
+        depth_m = state.scene.depth_m[min(sample, len(state.scene.depth_m) - 1), 0, rows, columns]
+        nearest_m = lamp.depth_m * (1.0 - DEPTH_ERROR) - LAMP_IN_FRONT_M
+        shown = state.image.signal[sample][:, rows, columns].max()
+        return bool(depth_m.max() < nearest_m) and float(shown) < BRIGHT
 
     def _put(
         self,
