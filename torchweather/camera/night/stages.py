@@ -157,7 +157,7 @@ class NightLamps(Stage):
 
     @staticmethod
     def _hidden(lamp: LampInView, sample: int, state: CameraState) -> bool:
-        """Whether a surface stands in front of all of a lamp's pixels, and the frame shows no bright spot there."""
+        """Occlusion of a lamp: a surface in front of all of its pixels, and no bright spot of the frame there."""
         rows, columns = (torch.from_numpy(one).to(state.scene.depth_m.device) for one in (lamp.rows, lamp.columns))
         depth_m = state.scene.depth_m[min(sample, len(state.scene.depth_m) - 1), 0, rows, columns]
         nearest_m = lamp.depth_m * (1.0 - DEPTH_ERROR) - LAMP_IN_FRONT_M
