@@ -219,7 +219,7 @@ def _evenly(low: float, high: float, bins: int) -> tuple[float, ...]:
 
 
 def has_neighbour(range_m: Tensor, grid: tuple[int, int], within_m: float, which: Tensor) -> Tensor:
-    """Whether a neighbour of a return, of eight around it, is a return of nearly its range.
+    """Mask of returns of which a neighbour, of the eight around, is a return of nearly the same range.
 
     Args:
         range_m: ``(F, N)`` of the frames, 0 where no return.
