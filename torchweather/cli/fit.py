@@ -32,6 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--depth", metavar="FILE", help="of a camera's frames: depth file, or a number in metres")
     parser.add_argument("--depth-encoding", metavar="NAME", help="of a depth file that holds integers")
     parser.add_argument("--mask", type=Path, metavar="NPY", help="array (H, W), true for what does not count")
+    parser.add_argument(
+        "--ignore-parts",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="SCENE:ROW,COLUMN",
+        help='parts of a camera\'s picture that do not count, as the warning "scene changed" names them',
+    )
     parser.add_argument("--estimators", help="names joined by commas; default all")
     parser.add_argument("--bootstrap", type=int, default=400, help="samples of the frames; default 400")
     parser.add_argument("--seed", type=int, default=0, help="of these samples; default 0")
@@ -46,7 +54,14 @@ def run(args: argparse.Namespace) -> int:
     if names is not None and not names:
         raise InputValueError("fit: --estimators must name one or more, such as slope; got none.")
     study = _study(args)
-    found = fit_weather(study, estimators=names, mask=_mask(args.mask), bootstrap=args.bootstrap, seed=args.seed)
+    found = fit_weather(
+        study,
+        estimators=names,
+        mask=_mask(args.mask),
+        bootstrap=args.bootstrap,
+        seed=args.seed,
+        ignore_parts=args.ignore_parts,
+    )
     if args.json:
         print_json(found.to_dict())
     else:

@@ -43,6 +43,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="ids joined by commas, such as lidar.window_loss, or all: the smallest strength of each that these frames "
         "would have flagged; all of them take several times as long",
     )
+    parser.add_argument(
+        "--ignore-parts",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="SCENE:ROW,COLUMN",
+        help='parts of a camera\'s picture that do not count, as the finding "scene changed" names them',
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
 
 
@@ -65,7 +73,13 @@ def run(args: argparse.Namespace) -> int:
     shown = not args.quiet and sys.stderr.isatty()
     with tqdm(total=len(study.conditions), desc="conditions", disable=not shown, leave=False) as bar:
         validation = validate(
-            study, seed=args.seed, names=names, step=bar.update, power=not args.no_power, effects=effects
+            study,
+            seed=args.seed,
+            names=names,
+            step=bar.update,
+            power=not args.no_power,
+            effects=effects,
+            ignore_parts=args.ignore_parts,
         )
     for finding in validation.findings:
         if finding.level == "error":

@@ -42,6 +42,14 @@ MUTANTS = (
         ("tests/gap/study/test_simulation.py::test_the_exposure_gain_of_the_condition_counts",),
     ),
     Mutant(
+        "mask_does_not_answer_a_change",
+        "parts that are masked or ignored are no change of the scene",
+        "torchweather.gap.sensors.camera.study_kind",
+        "None if mask is None else torch.from_numpy(np.asarray(mask) != 0),",
+        "None,",
+        ("tests/gap/sensors/camera/test_camera_frames.py::test_validate_and_fit_name_the_same_parts",),
+    ),
+    Mutant(
         "one_way_of_two",
         "the light of a LiDAR loses the extinction there and back",
         "torchweather.evaluation.fit.path_line",

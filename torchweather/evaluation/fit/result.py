@@ -88,11 +88,13 @@ class WeatherFit:
         kind: of the study.
         conditions: in the study's order.
         left_out: condition to the reason why it was not fitted.
+        changed: scenes of a camera that are another one in weather than in clear air, with the parts of the picture.
     """
 
     kind: str
     conditions: tuple[ConditionFit, ...]
     left_out: Mapping[str, str]
+    changed: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values that JSON can hold: a number that is not finite is text (``inf``, ``nan``)."""
@@ -101,7 +103,7 @@ class WeatherFit:
 
     def text(self) -> str:
         """A line for each estimate."""
-        lines = []
+        lines = [f"warning: {each}" for each in self.changed]
         for one in self.conditions:
             unit = "m" if one.parameter == "mor_m" else "mm/h"
             name = "visibility" if one.parameter == "mor_m" else f"{one.kind} rate"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from torchweather.evaluation.fit import camera_light, path_line
 from torchweather.evaluation.fit.laws import PathLaw
 from torchweather.evaluation.fit.least_squares import fitted
 from torchweather.evaluation.fit.result import ConditionFit, Estimate, WeatherFit
+from torchweather.gap.sensors.camera.scene_change import with_parts_ignored
 from torchweather.gap.study.study import Condition, Study
 
 __all__ = ["fit_weather"]
@@ -55,6 +57,7 @@ def fit_weather(
     mask: NDArray[np.bool_] | Masks | None = None,
     bootstrap: int = 400,
     seed: int = 0,
+    ignore_parts: Sequence[str] = (),
 ) -> WeatherFit:
     """Fit the rate or visibility of every condition to its frames.
 
@@ -76,9 +79,12 @@ def fit_weather(
             scene's geometry has.
         bootstrap: samples of the frames; 50 or more.
         seed: of the samples.
+        ignore_parts: parts of a camera's picture that do not count, ``SCENE:ROW,COLUMN`` as ``changed`` of the result
+            names them; as if they were in the scene's mask.
 
     Returns:
-        Estimates with central 90 % intervals over frames, and the misfit of the residuals.
+        Estimates with central 90 % intervals over frames, the misfit of the residuals, and parts of a camera's scenes
+        that changed.
 
     Raises:
         TorchweatherError: a study of links, an unknown estimator, a mask of another shape.
@@ -99,11 +105,13 @@ def fit_weather(
         (50.0, ['slope', 'no_offset'])
     """
     check_arguments(
-        "fit_weather(study: Study, estimators: Sequence[str] | None, bootstrap: int, seed: int)",
+        "fit_weather(study: Study, estimators: Sequence[str] | None, bootstrap: int, seed: int, "
+        "ignore_parts: Sequence[str])",
         study,
         estimators,
         bootstrap,
         seed,
+        ignore_parts,
     )
     check_at_least("bootstrap", bootstrap, 50, owner="fit_weather")
     if study.kind not in KINDS:
@@ -111,11 +119,13 @@ def fit_weather(
             f"fit_weather: expected a study of a camera, a LiDAR or a radar; got kind {study.kind}. The rain of links "
             "is in their record; torchweather gap fits its error."
         )
+    study = with_parts_ignored(study, ignore_parts, "fit_weather")
     build, loss, loss_name, known, weathers = KINDS[study.kind]
     for name in estimators or ():
         check_one_of("estimator", name, known, owner="fit_weather")
     chosen = known if estimators is None else tuple(dict.fromkeys(estimators))
     masks = _masks(study, mask)
+    changed = study.study_kind.scene_changes(_with_masks(study, masks))
     conditions, left_out = [], {}
     for condition in study.conditions:
         weather = condition.weather
@@ -160,7 +170,16 @@ def fit_weather(
                 {name: why[name] for name in chosen if name in why},
             )
         )
-    return WeatherFit(study.kind, tuple(conditions), left_out)
+    return WeatherFit(study.kind, tuple(conditions), left_out, tuple(f"{one.what} {one.advice}" for one in changed))
+
+
+def _with_masks(study: Study, masks: Masks) -> Study:
+    """The study with masks in the geometry of its scenes."""
+    scenes = {
+        name: replace(scene, geometry={**scene.geometry, "mask": masks[name]}) if name in masks else scene
+        for name, scene in study.scenes.items()
+    }
+    return replace(study, scenes=scenes)
 
 
 def _masks(study: Study, mask: NDArray[np.bool_] | Masks | None) -> dict[str, NDArray[np.bool_]]:

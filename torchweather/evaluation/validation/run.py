@@ -33,6 +33,7 @@ from torchweather.evaluation.validation.power import FACTOR, FURTHER, POWER, cha
 from torchweather.evaluation.validation.quantities import Quantity, Values, compared_quantities, values_of
 from torchweather.evaluation.validation.severity import TrendComparison, class_trends, compared_trends, weather_label
 from torchweather.gap.diagnosis import Finding, diagnose
+from torchweather.gap.sensors.camera.scene_change import with_parts_ignored
 from torchweather.gap.sensors.link.study_kind import rain_attenuation_db
 from torchweather.gap.study.simulation import simulate, start_frame
 from torchweather.gap.study.study import Condition, Frame, Study, StudyScene
@@ -134,7 +135,7 @@ class Validation:
         conditions: in the study's order.
         trends: over the severity of each weather of each scene.
         left_out: scores that these frames cannot have, and why.
-        findings: what the study lacks.
+        findings: parts of its scenes that changed, and what the study lacks.
     """
 
     kind: str
@@ -247,6 +248,7 @@ def validate(
     step: Step | None = None,
     power: bool = True,
     effects: Sequence[str] = (),
+    ignore_parts: Sequence[str] = (),
 ) -> Validation:
     """Compare simulated frames with measured ones, both by their scores against clear frames.
 
@@ -265,6 +267,8 @@ def validate(
         power: False simulates no other rates, in a third of the time; then nothing is called agreement.
         effects: ids of effects, or ``all``, whose smallest strength that these frames would have flagged is computed. A
             hint of what the study can show; no verdict depends on it. Not for links, nor without ``power``.
+        ignore_parts: parts of a camera's picture that do not count, ``SCENE:ROW,COLUMN`` as the finding "scene changed"
+            names them; as if they were in the scene's mask.
 
     Returns:
         Scores, distributions, trends over severity, and what the study lacks.
@@ -282,6 +286,7 @@ def validate(
         >>> found.counts()["differ"]
         0
     """
+    study = with_parts_ignored(study, ignore_parts, "validate")
     tried = named_effects(study.kind, effects, "validate")
     if tried and not power:
         raise InputValueError(
@@ -296,7 +301,7 @@ def validate(
         conditions=tuple(_judged(found)),
         trends=tuple(trends),
         left_out=left_out,
-        findings=tuple(diagnose(study)),
+        findings=(*study.study_kind.scene_changes(study), *diagnose(study)),
     )
 
 

@@ -143,6 +143,10 @@ class StudyKind(ABC):
         """Findings on the geometry of a scene."""
         return ()
 
+    def scene_changes(self, study: StudyContent) -> Iterable[Finding]:
+        """Findings on scenes that are another one in weather than in clear air."""
+        return ()
+
     @abstractmethod
     def findings(self, study: StudyContent, clear: Looks, measured: Looks) -> Iterable[Finding]:
         """Findings on the frames of a study that only this kind has."""

@@ -15,6 +15,8 @@ from tests.gap.tiny_camera_study import CAMERA, CLEAR, ELECTRONS, HEIGHT, SPLITS
 from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.camera.effects.all import EFFECTS
 from torchweather.core.errors import TorchweatherError
+from torchweather.evaluation.fit import fit_weather
+from torchweather.evaluation.validation.run import validate
 from torchweather.gap import Study, find_gap
 from torchweather.gap.inference.simulated_distribution import FrameModel
 from torchweather.gap.sensors.camera.edges import SHARED_CELLS, lag_name
@@ -544,6 +546,34 @@ def test_the_names_in_the_error_answer_it() -> None:
         CameraFrames(with_parts_ignored(moved_study(None), names[:1]))
     (before,) = (scene.geometry["mask"] for scene in changed.scenes.values())
     assert before.sum() == 1  # the study that was given stays as it was
+
+
+def test_validate_and_fit_name_the_same_parts() -> None:
+    changed = moved_study(None)
+    with pytest.raises(TorchweatherError, match="scene changed") as found:
+        CameraFrames(changed)
+    offered = re.search(r"--ignore-parts ([^ ]+:\d+,\d+(?: [^ ]+:\d+,\d+)*), or", str(found.value))
+    assert offered is not None
+    names = offered[1].split(" ")
+    validation = validate(changed, names=["psnr"], power=False)
+    first = validation.findings[0]
+    assert first.level == "error"
+    assert first.what.startswith("Scene changed: in weather")
+    assert f"--ignore-parts {offered[1]}." in first.advice
+    fit = fit_weather(changed, estimators=["contrast"], bootstrap=50)
+    assert fit.text().startswith("warning: Scene changed: in weather")
+    assert offered[1] in fit.changed[0]
+    # Ignored parts are no change, and do not count in scores and fits.
+    answered = validate(changed, names=["psnr"], power=False, ignore_parts=names)
+    assert not [one for one in answered.findings if "changed" in one.what]
+    assert answered.conditions[0].scores[0].measured.mean > validation.conditions[0].scores[0].measured.mean
+    again = fit_weather(changed, estimators=["contrast"], bootstrap=50, ignore_parts=names)
+    assert again.changed == ()
+    assert again.conditions[0].estimates[0].misfit < fit.conditions[0].estimates[0].misfit
+    still = Study.from_arrays(**values_of(kind="fog"))
+    assert list(still.study_kind.scene_changes(still)) == []
+    with pytest.raises(TorchweatherError, match="fit_weather: ignore_parts must be SCENE:ROW,COLUMN"):
+        fit_weather(changed, ignore_parts=["s0"])
 
 
 @pytest.mark.parametrize(

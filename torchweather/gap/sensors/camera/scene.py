@@ -21,9 +21,20 @@ from torch import Tensor
 from torchweather.camera.bayer import cfa_colour_index
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import TorchweatherError
-from torchweather.gap.study.study import StudyScene
+from torchweather.gap.study.conditions import StudyScene
 
-__all__ = ["COLOURS", "LAGS", "CameraScene", "Pairs", "camera_scene", "cell_colours", "in_blocks", "place_in"]
+__all__ = [
+    "COLOURS",
+    "LAGS",
+    "CameraScene",
+    "Pairs",
+    "block_levels",
+    "camera_scene",
+    "cell_colours",
+    "in_blocks",
+    "level_ground",
+    "place_in",
+]
 
 COLOURS = ("red", "green", "blue")  # of the colour filter array; green is the clear pixel's where there is one
 GREEN = 1
@@ -96,8 +107,7 @@ class CameraScene:
     def level_ground(self) -> Tensor:
         """Which blocks lie on level ground ``(h, w)``."""
         assert self.normal is not None
-        up = torch.nn.functional.avg_pool2d(self.normal[None, 2:], 2 * BLOCK_CELLS)[0, 0]
-        return up > LEVEL_GROUND
+        return level_ground(self.normal)
 
     def with_noise(self, signal: Tensor, transmission: Tensor | None, covered: Tensor | None, row: Tensor) -> Tensor:
         """Frames with the noise of clear frames: what each is over the mean of the others, at the light of now.
@@ -150,6 +160,19 @@ def cell_colours(bayer: Tensor, pattern: str) -> Tensor:
             phases.setdefault(int(index[row][column]), []).append(bayer[:, 0, row::2, column::2])
     planes = [phases[colour] for colour in sorted(phases)]
     return torch.stack([some[0] if len(some) == 1 else 0.5 * (some[0] + some[1]) for some in planes], 1)
+
+
+def block_levels(bayer: Tensor, pattern: str) -> Tensor:
+    """Logarithm of the green of blocks ``(h, w)``, its mean over frames ``(F, 1, H, W)``."""
+    cells = cell_colours(bayer, pattern)
+    size = [size // BLOCK_CELLS for size in cells.shape[-2:]]
+    return in_blocks(cells)[:, cells.shape[1] // 2].clamp_min(DARKEST).log().mean(0).view(size)
+
+
+def level_ground(normal: Tensor) -> Tensor:
+    """Which blocks ``(h, w)`` lie on level ground, from normals ``(3, H, W)`` in the vehicle's frame."""
+    up = torch.nn.functional.avg_pool2d(normal[None, 2:], 2 * BLOCK_CELLS)[0, 0]
+    return up > LEVEL_GROUND
 
 
 def in_blocks(cells: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -18,9 +19,11 @@ from torch import Tensor
 
 from torchweather.camera.sensor import Camera
 from torchweather.core.errors import InputValueError, TorchweatherError, check_one_of
-from torchweather.gap.study.study import Study
+from torchweather.gap.study.conditions import StudyContent
 
-__all__ = ["refuse_changed", "with_parts_ignored"]
+__all__ = ["MOST_IGNORED", "changed_parts", "described", "part_names", "refuse_changed", "with_parts_ignored"]
+
+S = TypeVar("S", bound=StudyContent)
 
 WINDOW = 8  # blocks that a part of the picture is high and wide
 FEWEST_WINDOWS = 3
@@ -54,9 +57,28 @@ def refuse_changed(
     Raises:
         TorchweatherError: the scene changed.
     """
+    places, number = changed_parts(measured, modelled, level, left_out)
+    if places:
+        raise TorchweatherError(
+            f"find_gap: {described(scene, places, number)} Something moved, or the camera did. Take clear frames of "
+            "the scene as it is in weather, leave these conditions out, or put what moved in the scene's mask."
+            f"{_offer(scene, places)}"
+        )
+
+
+def changed_parts(
+    measured: Mapping[str, Tensor],
+    modelled: Mapping[str, Tensor],
+    level: Tensor | None,
+    left_out: Tensor | None = None,
+) -> tuple[list[tuple[int, int]], int]:
+    """First row and column of the parts that changed, none where they are fewer than three, and the number of all.
+
+    Arguments as of `refuse_changed`.
+    """
     names = list(measured)
     if len(names) < 2:
-        return
+        return [], 0
     left, share = {}, {}
     for name in names:
         after, before = _edges(measured[name]), _edges(modelled[name])
@@ -76,21 +98,28 @@ def refuse_changed(
         together = _windows(left[one] * left[other]) / (own * its).clamp_min(1e-24).sqrt()
         strong = torch.minimum(own, its) / (2 * WINDOW**2) > STRONG**2
         changed |= standing & strong & (together > TOGETHER) & (torch.minimum(share[one], share[other]) > UNEXPLAINED)
-    number = int(changed.sum())
-    if number >= FEWEST_WINDOWS:
-        places = [(SIDE_PX * row, SIDE_PX * column) for row, column in changed.nonzero().tolist()]
-        parts = [f"({row}, {column})" for row, column in places[:MOST_NAMED]]
-        more = "" if number <= MOST_NAMED else f" and {number - MOST_NAMED} more"
-        raise TorchweatherError(
-            f"find_gap: scene changed: in weather {number} of {changed.numel()} parts of the picture of scene {scene} "
-            "show edges that its clear frames do not have, the same in several conditions: "
-            f"{SIDE_PX} x {SIDE_PX} px from (row, column) {', '.join(parts)}{more}. Something moved, or the camera "
-            "did. Take clear frames of the scene as it is in weather, leave these conditions out, or put what moved in "
-            f"the scene's mask.{_offer(scene, places)}"
-        )
+    places = [(SIDE_PX * row, SIDE_PX * column) for row, column in changed.nonzero().tolist()]
+    return places if len(places) >= FEWEST_WINDOWS else [], changed.numel()
 
 
-def with_parts_ignored(study: Study, names: Sequence[str]) -> Study:
+def described(scene: str, places: Sequence[tuple[int, int]], number: int) -> str:
+    """Parts of a picture that changed, in words.
+
+    Args:
+        scene: id.
+        places: first row and column of each part.
+        number: of all parts of the picture.
+    """
+    parts = ", ".join(f"({row}, {column})" for row, column in places[:MOST_NAMED])
+    more = "" if len(places) <= MOST_NAMED else f" and {len(places) - MOST_NAMED} more"
+    return (
+        f"scene changed: in weather {len(places)} of {number} parts of the picture of scene {scene} show edges that "
+        f"its clear frames do not have, the same in several conditions: {SIDE_PX} x {SIDE_PX} px from (row, column) "
+        f"{parts}{more}."
+    )
+
+
+def with_parts_ignored(study: S, names: Sequence[str], owner: str = "find_gap") -> S:
     """The study with parts of the picture added to the masks of its scenes, so that they are no change of a scene.
 
     Args:
@@ -110,16 +139,16 @@ def with_parts_ignored(study: Study, names: Sequence[str]) -> Study:
         found = PART.fullmatch(name.strip())
         if found is None:
             raise InputValueError(
-                f"find_gap: ignore_parts must be SCENE:ROW,COLUMN, such as s0:0,32; got {name!r}. "
+                f"{owner}: ignore_parts must be SCENE:ROW,COLUMN, such as s0:0,32; got {name!r}. "
                 'Take the names from the error "scene changed".'
             )
         scene_id, row, column = found["scene"], int(found["row"]), int(found["column"])
-        check_one_of("scene of ignore_parts", scene_id, study.scenes, owner="find_gap")
+        check_one_of("scene of ignore_parts", scene_id, study.scenes, owner=owner)
         scene = study.scenes[scene_id]
         height, width = np.shape(scene.clear[0]["bayer"])[-2:]
         if row % SIDE_PX or column % SIDE_PX or row + SIDE_PX > height or column + SIDE_PX > width:
             raise InputValueError(
-                f"find_gap: ignore_parts: expected a row and a column that are multiples of {SIDE_PX} px within the "
+                f"{owner}: ignore_parts: expected a row and a column that are multiples of {SIDE_PX} px within the "
                 f'picture of {height} x {width} px; got {name}. Take the names from the error "scene changed".'
             )
         if scene_id not in masks:
@@ -136,8 +165,13 @@ def _offer(scene: str, places: Sequence[tuple[int, int]]) -> str:
     """How to go on in spite of few parts."""
     if len(places) > MOST_IGNORED:
         return ""
-    names = " ".join(f"{scene}:{row},{column}" for row, column in places)
+    names = part_names(scene, places)
     return f" To search all the same, ignore these parts: --ignore-parts {names}, or find_gap(ignore_parts=...)."
+
+
+def part_names(scene: str, places: Sequence[tuple[int, int]]) -> str:
+    """Parts as `with_parts_ignored` takes them, with spaces between."""
+    return " ".join(f"{scene}:{row},{column}" for row, column in places)
 
 
 def _blocks(left_out: Tensor, names: Sequence[str], measured: Mapping[str, Tensor]) -> Tensor:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +17,9 @@ from torch import Tensor
 from torchweather.atmosphere.weather import Weather
 from torchweather.camera.sensor import Camera
 from torchweather.camera.transform import BayerWeather
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError, TorchweatherWarning
+from torchweather.gap.sensors.camera.scene import block_levels, level_ground
+from torchweather.gap.sensors.camera.scene_change import MOST_IGNORED, changed_parts, described, part_names
 from torchweather.gap.study.checks import ArrayRule, unit_vectors
 from torchweather.gap.study.conditions import Condition, StudyContent
 from torchweather.gap.study.frames import Frame
@@ -141,6 +144,44 @@ class CameraStudy(StudyKind):
                 "Give normal (H, W, 3) or label (H, W) in the geometry.",
             )
 
+    def scene_changes(self, study: StudyContent) -> Iterator[Finding]:
+        """Parts of the picture whose edges in weather are none of the clear frames, as the gap workflow finds them."""
+        camera = study.sensor_as(Camera)
+        for name, scene in study.scenes.items():
+            own = [one for one in study.conditions if one.scene == name and one.weather is not None]
+            clear = np.mean([np.asarray(scene.clear[k]["bayer"]) for k in range(len(scene.clear))], axis=0)
+            normal, mask = _planes(scene.geometry.get("normal")), scene.geometry.get("mask")
+            places, number = changed_parts(
+                {one.id: block_levels(_stacked(one.frames), camera.bayer_pattern) for one in own},
+                {
+                    one.id: block_levels(_stacked([self._in_fog(study, one, clear)]), camera.bayer_pattern)
+                    for one in own
+                },
+                None if normal is None else level_ground(normal),
+                None if mask is None else torch.from_numpy(np.asarray(mask) != 0),
+            )
+            if places:
+                few = len(places) <= MOST_IGNORED
+                offer = f", or ignore them: --ignore-parts {part_names(name, places)}" if few else ""
+                yield Finding(
+                    "error",
+                    f"S{described(name, places, number)[1:]}",
+                    "Something moved, or the camera did: scores and fits compare what is not the same.",
+                    f"Take clear frames of the scene as it is in weather, put these parts in the scene's mask{offer}.",
+                )
+
+    def _in_fog(self, study: StudyContent, condition: Condition, clear: Array) -> Frame:
+        """The clear scene at a condition's exposure, in the fog of its weather; drops and flakes change no edges."""
+        assert condition.weather is not None
+        frame: Frame = {"bayer": clear}
+        fog = [part for part in condition.weather.parts if part.kind == "fog"]
+        if not fog:
+            return frame
+        with warnings.catch_warnings():
+            # The user did not ask for this frame: an airlight without any sky is told where it is used.
+            warnings.simplefilter("ignore", TorchweatherWarning)
+            return self.simulated(study, replace(condition, weather=fog[0]), frame, 0)
+
     def findings(self, study: StudyContent, clear: Looks, measured: Looks) -> Iterator[Finding]:
         """Frames of a single value."""
         looks = [look for some in (*clear.values(), *measured.values()) for look in some if look.signals]
@@ -203,6 +244,11 @@ def simulated_camera(
     with torch.no_grad():
         found = transform(bayer, depth, transform.draw(bayer, seed=seed), normal=_planes(normal) if effects else None)
     return {"bayer": found[0].numpy()}
+
+
+def _stacked(frames: Iterable[Frame]) -> Tensor:
+    """Frames ``(F, 1, H, W)``."""
+    return torch.stack([torch.from_numpy(np.array(frame["bayer"], dtype=np.float32)) for frame in frames])[:, None]
 
 
 def _planes(normal: Array | None) -> Tensor | None:

@@ -33,6 +33,7 @@ from torchweather.gap.sensors.camera.scene import (
     NEAR_M,
     SKY_M,
     CameraScene,
+    block_levels,
     cell_colours,
     in_blocks,
     place_in,
@@ -222,8 +223,7 @@ class CameraSums:
 
     def mean_level(self, bayer: Tensor) -> Tensor:
         """That of frames ``(F, 1, H, W)``, their mean."""
-        green = in_blocks(cell_colours(bayer, self.pattern))[:, self.green]
-        return green.clamp_min(DARKEST).log().mean(0).view(self._block_size)
+        return block_levels(bayer, self.pattern)
 
     def __call__(self, bayer: Tensor, row: Tensor, portions: int = 1) -> Reduced:
         """Sums of frames ``(F, 1, H, W)``.
