@@ -300,20 +300,23 @@ def explanation_text(numbers: Mapping[str, Any]) -> str:
             facts.append([f"median volume diameter, {part['kind']}", f"{median:.4g} mm"])
         if "rate_carried_mm_per_h" in part:
             facts.append([f"rate that the {part['kind']} carries", f"{part['rate_carried_mm_per_h']:.4g} mm/h"])
-    if "uncertainty" in numbers:
-        facts += [
-            [
-                f"{name}, range by one default at a time",
-                f"{one['value']:.3g} ({one['least']:.3g} to {one['largest']:.3g})",
-            ]
-            for name, one in numbers["uncertainty"].items()
-        ]
     if "receiver" in numbers:
         facts += _receiver_facts(numbers["receiver"])
     text = "\n".join([*lines, "", *("  " + line for line in aligned(facts))])
+    if "uncertainty" in numbers:
+        rows = [[name, f"{one['value']:.3g}", _range_text(one)] for name, one in numbers["uncertainty"].items()]
+        heads = ["number", "by default", "as one unmeasured default at a time is varied"]
+        text += "\n\n" + "\n".join("  " + line for line in aligned([heads, *rows]))
     if numbers.get("receiver", {}).get("near_is_generic"):
         text += f"\n\n  {GENERIC_NEAR}"
     return text
+
+
+def _range_text(one: Mapping[str, float]) -> str:
+    """Least and largest value; numbers that no unmeasured default moves are exact but for their own laws."""
+    if math.isclose(one["least"], one["largest"], rel_tol=1e-6):
+        return "exact: no unmeasured default moves it"
+    return f"{one['least']:.3g} to {one['largest']:.3g}"
 
 
 def _receiver_facts(receiver: Mapping[str, Any]) -> list[list[str]]:

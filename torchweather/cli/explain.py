@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--uncertainty",
         action="store_true",
-        help="also print how far results move as each unmeasured default is varied (up to a minute)",
+        help="also print the range of every number as each unmeasured default is varied (up to a minute)",
     )
 
 
@@ -44,9 +44,9 @@ def run(args: argparse.Namespace) -> int:
         receiver=True,
     )
     if args.uncertainty:
-        from torchweather.evaluation.sensitivity import uncertainty
+        from torchweather.evaluation.sensitivity import printed_uncertainty
 
-        ranges = uncertainty(args.weather, args.sensor)
+        ranges = printed_uncertainty(args.weather, args.sensor, numbers)
         numbers["uncertainty"] = {
             name: {"value": value, "least": least, "largest": largest}
             for name, (value, least, largest) in ranges.items()

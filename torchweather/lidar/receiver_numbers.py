@@ -49,14 +49,21 @@ def receiver_numbers(weather: Weather, lidar: Lidar, **options: Any) -> dict[str
     return {
         **{name: getattr(lidar, name) for name in names},
         "near_is_generic": (lidar.near_start_m, lidar.near_full_m, lidar.near_power) == UNMEASURED,
-        "q_back": {part.kind: _q_back(part, lidar, options.get("q_back")) for part in weather.parts},
+        "q_back": {part.kind: backscatter_efficiency(part, lidar, options.get("q_back")) for part in weather.parts},
         "false_return_share": open_air.share,
         "object_range_m": 0.5 * range_m,
         "lost_share": float(1.0 - seen[0]),
     }
 
 
-def _q_back(part: Weather, lidar: Lidar, given: Any) -> float:
+def backscatter_efficiency(part: Weather, lidar: Lidar, given: Any = None) -> float:
+    """Backscatter efficiency of a weather's particles, by default or as given for rain.
+
+    Args:
+        part: rain, fog or snow.
+        lidar: whose wavelength counts.
+        given: of rain; ``None`` is ``rain_q_back``.
+    """
     if isinstance(part, Rain):
         return float(given) if isinstance(given, (int, float)) else float(rain_q_back(lidar.wavelength_nm))
     if isinstance(part, Snow):

@@ -13,7 +13,15 @@ import torch
 
 import torchweather as tw
 from torchweather.core.errors import TorchweatherError
-from torchweather.evaluation.sensitivity import Change, Moved, changes, results, sensitivity, uncertainty
+from torchweather.evaluation.sensitivity import (
+    Change,
+    Moved,
+    changes,
+    printed_uncertainty,
+    results,
+    sensitivity,
+    uncertainty,
+)
 from torchweather.evaluation.sensitivity.ranges import SHARES
 from torchweather.explain import explain, explanation_text
 
@@ -60,6 +68,41 @@ def test_uncertainty_is_the_hull_of_single_changes() -> None:
     assert value == moved[0].before
     assert least == min(value, *(one.after for one in moved))
     assert largest == max(value, *(one.after for one in moved)) > 5.0 * value  # wet flakes
+
+
+def test_every_printed_number_has_a_range_or_is_exact() -> None:
+    """Efficiencies by hand: rain of q_eff 1 to 2 (1.1) and q_back 0.094 to 0.6 (0.2 at 865 nm)."""
+    numbers = explain("rain:rate=25", OS1, receiver=True)
+    found = printed_uncertainty("rain:rate=25", OS1, numbers)
+    value, least, largest = found["backscatter efficiency, rain"]
+    assert (value, least, largest) == pytest.approx((0.2, 0.094, 0.6))
+    value, least, largest = found["backscatter 1/(m sr), laser"]
+    assert largest / value == pytest.approx(3.0)
+    assert least / value <= 0.47 + 1e-9
+    value, least, largest = found["effective extinction 1/m, laser"]
+    assert largest / value >= 2.0 / 1.1 - 1e-9
+    assert found["pulse width ns"] == (10.0, 5.0, 15.0)
+    assert found["range at 10 % m"][1:] == (40.0, 40.0)
+    assert found[FALSE][0] == pytest.approx(numbers["receiver"]["false_return_share"], rel=1e-3)
+    text = explanation_text(
+        {
+            **numbers,
+            "uncertainty": {k: dict(zip(("value", "least", "largest"), v, strict=True)) for k, v in found.items()},
+        }
+    )
+    assert re.search(r"range at 10 % m +40 +exact: no unmeasured default moves it", text)
+    assert re.search(r"pulse width ns +10 +5 to 15", text)
+
+
+@pytest.mark.parametrize("sensor", ["camera", "radar"])
+def test_the_spread_of_visibility_is_in_the_range_of_snow(sensor: str) -> None:
+    numbers = explain("snow:rate=1", sensor)
+    found = printed_uncertainty("snow:rate=1", sensor, numbers)
+    value, least, largest = found["visibility (Mie) m"]
+    assert value == numbers["mor_m"]
+    assert least <= value / 3 * (1 + 1e-6)
+    assert largest >= value / 0.3 * (1 - 1e-6)
+    assert {name.rpartition(", ")[2] for name in found} >= {band["name"] for band in numbers["bands"]}
 
 
 def test_a_mixture_is_refused() -> None:

@@ -50,6 +50,14 @@ MUTANTS = (
         ("tests/gap/sensors/camera/test_camera_frames.py::test_validate_and_fit_name_the_same_parts",),
     ),
     Mutant(
+        "range_of_one_side",
+        "a range holds the smaller values, too",
+        "torchweather.evaluation.sensitivity.ranges",
+        "ranges[name] = (given, min(least, value), max(largest, value))",
+        "ranges[name] = (given, least, max(largest, value))",
+        ("tests/evaluation/sensitivity/test_sensitivity.py::test_every_printed_number_has_a_range_or_is_exact",),
+    ),
+    Mutant(
         "one_way_of_two",
         "the light of a LiDAR loses the extinction there and back",
         "torchweather.evaluation.fit.path_line",

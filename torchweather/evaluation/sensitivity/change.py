@@ -100,6 +100,10 @@ RADAR_OF: Mapping[str, tuple[Change, ...]] = {
     "fog": (),
     "snow": (*_pairs("melted share", "weather", "melt_fraction", (0.05, 0.3), ASSUMED),),
 }
+RASMUSSEN = "Rasmussen et al. 1999: 3 to 10 times between snowfalls of one rate"
+OF_ALL: Mapping[str, tuple[Change, ...]] = {
+    "snow": (*_pairs("extinction at one rate", "weather", "visibility_spread", (0.3, 3.0), RASMUSSEN),),
+}
 Table = Mapping[str, tuple[Change, ...]]
 # By the kind of the sensor: changes by weather.
 OF_SENSOR: Mapping[str, tuple[Table, ...]] = {
@@ -123,7 +127,7 @@ def changes(weather: Weather, sensor: Known) -> tuple[Change, ...]:
         ['advection', 'advection-liquid-water']
     """
     check_arguments("changes(weather: Weather)", weather)
-    own = tuple(change for table in OF_SENSOR[sensor.kind] for change in table.get(weather.kind, ()))
+    own = tuple(change for table in (*OF_SENSOR[sensor.kind], OF_ALL) for change in table.get(weather.kind, ()))
     given = getattr(weather, "size_distribution", None)
     others = tuple(each for each in FAMILIES[weather.kind] if each != given)
     return (

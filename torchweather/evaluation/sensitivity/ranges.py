@@ -17,12 +17,14 @@ from torchweather.core.errors import InputValueError
 from torchweather.evaluation.sensitivity.change import Change, changes
 from torchweather.explain import explain
 from torchweather.lidar.open_air import open_air_share
+from torchweather.lidar.receiver_numbers import backscatter_efficiency
 from torchweather.lidar.sensor import CALIBRATION_REFLECTIVITY, Lidar
 from torchweather.lidar.transform import LidarWeather
+from torchweather.physics import Q_EFF, rain_q_back
 from torchweather.radar.sensor import Radar
 from torchweather.sensors import sensor_preset
 
-__all__ = ["Moved", "results", "sensitivity", "uncertainty"]
+__all__ = ["Moved", "printed_uncertainty", "results", "sensitivity", "uncertainty"]
 
 # A grey wall in an even light: what particles and airlight add is seen alone.
 WALL_PX, WALL_M, WALL_LIGHT, WALL_AIRLIGHT, SEEDS = (128, 96), 50.0, 0.1, 0.6, 2
@@ -149,6 +151,94 @@ def uncertainty(weather: Weather | str, sensor: Sensor | str) -> dict[str, tuple
         _, least, largest = ranges.get(moved.result, (moved.before, moved.before, moved.before))
         ranges[moved.result] = (moved.before, min(least, moved.after), max(largest, moved.after))
     return ranges
+
+
+def printed_uncertainty(
+    weather: Weather | str, sensor: Sensor | str, numbers: Mapping[str, Any]
+) -> dict[str, tuple[float, float, float]]:
+    """Each number that ``explain`` prints, and its least and largest value as defaults are varied one at a time.
+
+    Args:
+        weather, sensor: as in ``sensitivity``.
+        numbers: of ``explain`` for them.
+
+    Returns:
+        Name to ``(default, least, largest)``, all three alike where no default without a measurement moves the number;
+        then the results of ``uncertainty``.
+    """
+    weather, sensor = _given(weather, sensor)
+    before = printed(numbers)
+    ranges = {name: (value, value, value) for name, value in before.items()}
+    bands = numbers["bands"]
+    only = {"wavelength_nm": bands[0]["wavelength_nm"]} if len(bands) == 1 and "wavelength_nm" in bands[0] else {}
+    only |= {name: bands[0][name] for name in ("frequency_ghz", "polarisation") if name in bands[0]}
+    for change in changes(weather, sensor):
+        after = printed(explain(change.of_weather(weather), change.of_sensor(sensor), **only))
+        # Options of the transform are no arguments of explain; efficiencies scale what is printed.
+        for option, names in (("q_eff", EFFECTIVE), ("q_back", BACKSCATTER)):
+            if option in change.option:
+                scale = change.option[option] / DEFAULT_OF[option](weather, bands[0])
+                after |= {name: scale * value for name, value in after.items() if name.startswith(names)}
+        after |= {RECEIVER[name]: float(value) for name, value in change.sensor.items() if name in RECEIVER}
+        if "receiver" in numbers:
+            efficiency = backscatter_efficiency(change.of_weather(weather), sensor, change.option.get("q_back"))
+            after[f"backscatter efficiency, {weather.kind}"] = efficiency
+        for name, value in after.items():
+            if name in ranges:
+                given, least, largest = ranges[name]
+                ranges[name] = (given, min(least, value), max(largest, value))
+    further = uncertainty(weather, sensor)  # what is simulated, and printed of no band
+    return ranges | {name: value for name, value in further.items() if name not in OF_BAND.values()}
+
+
+EFFECTIVE, BACKSCATTER = "effective extinction 1/m", "backscatter 1/(m sr)"
+DEFAULT_OF: Mapping[str, Callable[[Weather, Mapping[str, Any]], float]] = {
+    "q_eff": lambda weather, band: Q_EFF[weather.kind],
+    "q_back": lambda weather, band: float(rain_q_back(band["wavelength_nm"])),
+}
+# Printed of a LiDAR's receiver: field of the sensor to its name.
+RECEIVER = {
+    "range_at_10_percent_m": "range at 10 % m",
+    "near_start_m": "near response from m",
+    "near_full_m": "near response full at m",
+    "near_power": "near response power",
+    "pulse_width_ns": "pulse width ns",
+    "margin_db": "margin of returns dB",
+}
+OF_BAND = {
+    "extinction_per_m": "extinction 1/m",
+    "backscatter_per_m_sr": BACKSCATTER,
+    "extinction_effective_per_m": EFFECTIVE,
+    "extinction_rendered_per_m": "rendered extinction 1/m",
+    "attenuation_db_per_km": "attenuation dB/km",
+}
+OF_WEATHER = {
+    "mor_m": "visibility (Mie) m",
+    "mor_nominal_m": "visibility, the fog's own parameter m",
+    "particles_per_m3": "particles per m^3",
+    "liquid_water_g_per_m3": "liquid water g/m^3",
+}
+OF_PART = {
+    "median_volume_diameter_mm": "median volume diameter mm",
+    "rate_carried_mm_per_h": "rate carried mm/h",
+}
+
+
+def printed(numbers: Mapping[str, Any]) -> dict[str, float]:
+    """The printed numbers of ``explain`` by name, those of bands with the band."""
+    found = {
+        f"{name}, {band['name']}": band[key]
+        for band in numbers["bands"]
+        for key, name in OF_BAND.items()
+        if key in band
+    }
+    found |= {name: numbers[key] for key, name in OF_WEATHER.items() if key in numbers}
+    found |= {
+        name: part[key] for part in numbers["parts"] for key, name in OF_PART.items() if part.get(key) is not None
+    }
+    receiver = numbers.get("receiver", {})
+    found |= {f"backscatter efficiency, {kind}": value for kind, value in receiver.get("q_back", {}).items()}
+    return found | {name: receiver[key] for key, name in RECEIVER.items() if key in receiver}
 
 
 def _given(weather: Weather | str, sensor: Sensor | str) -> tuple[Weather, Sensor]:
