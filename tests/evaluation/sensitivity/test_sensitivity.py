@@ -70,6 +70,7 @@ def test_uncertainty_is_the_hull_of_single_changes() -> None:
     assert largest == max(value, *(one.after for one in moved)) > 5.0 * value  # wet flakes
 
 
+@pytest.mark.long  # ten changes of a LiDAR; of a radar below
 def test_every_printed_number_has_a_range_or_is_exact() -> None:
     """Efficiencies by hand: rain of q_eff 1 to 2 (1.1) and q_back 0.094 to 0.6 (0.2 at 865 nm)."""
     numbers = explain("rain:rate=25", OS1, receiver=True)
@@ -94,7 +95,7 @@ def test_every_printed_number_has_a_range_or_is_exact() -> None:
     assert re.search(r"pulse width ns +10 +5 to 15", text)
 
 
-@pytest.mark.parametrize("sensor", ["camera", "radar"])
+@pytest.mark.parametrize("sensor", [pytest.param("camera", marks=pytest.mark.long), "radar"])
 def test_the_spread_of_visibility_is_in_the_range_of_snow(sensor: str) -> None:
     numbers = explain("snow:rate=1", sensor)
     found = printed_uncertainty("snow:rate=1", sensor, numbers)

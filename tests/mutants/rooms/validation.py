@@ -55,7 +55,9 @@ MUTANTS = (
         "torchweather.evaluation.sensitivity.ranges",
         "ranges[name] = (given, min(least, value), max(largest, value))",
         "ranges[name] = (given, least, max(largest, value))",
-        ("tests/evaluation/sensitivity/test_sensitivity.py::test_every_printed_number_has_a_range_or_is_exact",),
+        (
+            "tests/evaluation/sensitivity/test_sensitivity.py::test_the_spread_of_visibility_is_in_the_range_of_snow[radar]",
+        ),
     ),
     Mutant(
         "one_way_of_two",

@@ -181,7 +181,8 @@ def printed_uncertainty(
                 after |= {name: scale * value for name, value in after.items() if name.startswith(names)}
         after |= {RECEIVER[name]: float(value) for name, value in change.sensor.items() if name in RECEIVER}
         if "receiver" in numbers:
-            efficiency = backscatter_efficiency(change.of_weather(weather), sensor, change.option.get("q_back"))
+            lidar = Lidar.of(sensor)
+            efficiency = backscatter_efficiency(change.of_weather(weather), lidar, change.option.get("q_back"))
             after[f"backscatter efficiency, {weather.kind}"] = efficiency
         for name, value in after.items():
             if name in ranges:
