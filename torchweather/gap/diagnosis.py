@@ -1,4 +1,4 @@
-"""What a study lacks, in plain words, and what that costs."""
+"""Shortcomings of a study in plain words, and what they cost."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Response:
-    """What one effect would do to a statistic along its axis, beside what was measured.
+    """Response of a statistic to one effect along its axis, beside the measured one.
 
     Args:
         statistic, axis: names, with units.
@@ -93,7 +93,7 @@ class Response:
 
 @dataclass(frozen=True)
 class ResidualMap:
-    """How far each statistic is off in each condition.
+    """Departure of each statistic in each condition.
 
     Args:
         groups: (statistic, axis) of each row.
@@ -216,7 +216,7 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
 
 
 def _nuisance(result: GapResult) -> dict[str, Any]:
-    """How far the weather's record moved.
+    """Shift of the weather's record.
 
     ``rate_factor`` is the common factor on the amount of weather: of rates, and of one over the visibility for fog;
     conditions count with the precision of their record. ``by_condition`` has the factor on each recorded rate or
@@ -365,7 +365,7 @@ def _curves(result: GapResult) -> list[Curve]:
 
 
 def _responses(result: GapResult) -> list[Response]:
-    """What the effects that were fitted alone do to the loudest statistics, each at its best parameters."""
+    """Responses of the loudest statistics to the effects that were fitted alone, each at its best parameters."""
     search = result.search
     start, names = search.start, [target.condition.id for target in search.measured]
     if not result.rounds:

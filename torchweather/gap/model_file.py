@@ -1,4 +1,4 @@
-"""What a search adds to a model: effects, and an empirical stage; written to YAML and read back."""
+"""Additions of a search to a model: effects, and an empirical stage; written to YAML and read back."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ T = TypeVar("T", bound=RecipeTransform)
 
 @dataclass(frozen=True)
 class Additions(Sequence[Effect]):
-    """What is added to the ready-made chain: a sequence of the effects, with the empirical stage beside it.
+    """Additions to the ready-made chain: a sequence of the effects, with the empirical stage beside it.
 
     Args:
         effects: of the catalogue, found by name.
@@ -86,7 +86,7 @@ def write_model(path: Path, effects: Sequence[Effect], empirical: Empirical | No
 
 
 def read_model(path: Path) -> Additions:
-    """What ``write_model`` wrote.
+    """Model that ``write_model`` wrote.
 
     Raises:
         TorchweatherError: the file is missing, is no such file, or holds an effect that cannot be.

@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MeasuredSize:
-    """How much was measured of a condition.
+    """Amount that was measured of a condition.
 
     Args:
         frames: n, of the condition.

@@ -174,7 +174,7 @@ def scattering(
 
 
 def _gain_beside_means(search: SimulatorLikelihood, template: ResponseTemplate) -> float:
-    """By how much a response, scaled, lowers the squares of what departs in entries that are no means of elements."""
+    """Decrease, by a scaled response, of the squares of departures in entries that are no means of elements."""
     there, here = (
         search.mean(replace(search.origin, values=values), METHOD.screen_frames)
         for values in ({template.id: template.values}, {})
@@ -190,7 +190,7 @@ def _gain_beside_means(search: SimulatorLikelihood, template: ResponseTemplate) 
 
 
 def stands_far(point: ParameterPoint) -> bool:
-    """Whether something that the model leaves open has moved by more than such things do by chance."""
+    """Check whether something that the model leaves open has moved by more than such things do by chance."""
     return any(abs(value) > FAR for value in point.open.values())
 
 

@@ -24,7 +24,7 @@ LEAST_SCATTER = 1e-9
 
 @dataclass(frozen=True)
 class ClearAir:
-    """Whether the clear frames of a scene agree with each other.
+    """Agreement of the clear frames of a scene with each other.
 
     Args:
         scene: id.

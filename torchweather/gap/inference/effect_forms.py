@@ -82,13 +82,13 @@ def tried_values(effect: type[Effect], name: str) -> tuple[float, ...]:
 
 
 def complexity_penalty(model: object, name: str) -> float:
-    """By how much an effect must lower the misfit more than others."""
+    """Amount by which an effect must lower the misfit more than others."""
     found = effect_class(model, name)
     return found.complexity_penalty if issubclass(found, SearchForm) else 0.0
 
 
 def is_another(model: object, values: Mapping[str, Mapping[str, float]]) -> bool:
-    """Whether one of some effects, each with its parameters, is where it is another one."""
+    """Check whether one of some effects, each with its parameters, is where it is another one."""
     for name, own in values.items():
         found = effect_class(model, name)
         limits = found.another_from if issubclass(found, SearchForm) else {}

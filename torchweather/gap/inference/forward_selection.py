@@ -260,7 +260,7 @@ def _fitted_on_top(
     threshold: float,
     progress: Callable[[str], None],
 ) -> list[Candidate]:
-    """What is proposed, fitted, best first. Where none gains what the responses promised, others that promise half of
+    """Fits of what is proposed, best first. Where none gains what the responses promised, others that promise half of
     what was gained are fitted as well: a response that no longer holds there must not keep them out."""
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
     found = fitted(search, base, proposed, best.fit.misfit, progress)
@@ -316,7 +316,7 @@ def _on_top(
     sure: float,
     most: float,
 ) -> tuple[dict[str, float], list[Proposal]]:
-    """What may be fitted on top of an effect; nothing where no response promises as much as it needs.
+    """Effects that may be fitted on top of one; nothing where no response promises as much as it needs.
 
     Args:
         search: its simulator.
@@ -381,7 +381,7 @@ def _best_on_top(
 
 
 def _verdict(global_test: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut) -> str:
-    """What is said of effects that were fitted: also on conditions that they were not fitted to.
+    """Verdict on effects that were fitted: also on conditions that they were not fitted to.
 
     Gates of a name: the alarm itself, more than noise gains, held-out conditions that do not speak against it, and a
     share of what departs.
@@ -409,7 +409,7 @@ def _verdict(global_test: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut)
 
 
 def _confusable(name: str, other: str) -> bool:
-    """Whether the catalogue says of either of two effects that it may be taken for the other."""
+    """Check whether the catalogue calls either of two effects confusable with the other."""
     return other in EFFECTS[name].confusable_with or name in EFFECTS[other].confusable_with
 
 

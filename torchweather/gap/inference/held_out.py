@@ -1,4 +1,4 @@
-"""What held-out conditions say of effects that were fitted elsewhere.
+"""Verdict of held-out conditions on effects that were fitted elsewhere.
 
 References:
     GAP.md 4.

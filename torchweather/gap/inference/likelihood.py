@@ -517,7 +517,7 @@ class SimulatorLikelihood:
         covariance: Floats,
         names: Sequence[tuple[str, str]],
     ) -> Fit:
-        """What a fit that ends at a point is worth, with the scatter there; ``nuisance`` is in units of ``base``."""
+        """Value of a fit that ends at a point, with the scatter there; ``nuisance`` is in units of ``base``."""
         final = self.at(point)
         residual = self.residual(final)
         here = self._nuisance_at(nuisance.moved(self.offset(point)), base, final)

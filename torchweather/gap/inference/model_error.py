@@ -42,6 +42,6 @@ def explained_beside(search: SimulatorLikelihood, fit: Fit, responses: Floats) -
 
 
 def response_of(search: SimulatorLikelihood, fit: Fit, name: str) -> Floats:
-    """What one effect of a fit changes where it stands, ``(C P,)``."""
+    """Change by one effect of a fit where it stands, ``(C P,)``."""
     there, here = (search.mean(point, METHOD.screen_frames) for point in (fit.point, fit.point.without(name)))
     return search.whitened(fit.base, [new - old for new, old in zip(there, here, strict=True)])

@@ -1,4 +1,4 @@
-"""What is left, statistic by statistic: a departure of a few entries is not drowned in the noise of all others.
+"""Tests of the residual, statistic by statistic: a departure of a few entries does not drown in the noise of others.
 
 Of each statistic along each axis the squares of its whitened entries are held against those of noise, and so is the
 pattern that all conditions have in common: what acts alike in each of them is a few numbers there. Of shares and counts
@@ -75,7 +75,7 @@ class ResidualTest:
         return float(min(1.0, some.sum() * each.min())) if some.any() else 1.0
 
     def excess(self, left: Floats) -> float:
-        """By how much groups exceed what noise leaves, summed."""
+        """Sum of the excess of groups over what noise leaves."""
         return float(np.maximum(self.squares(left) - self.noise * self.counted, 0.0).sum())
 
 

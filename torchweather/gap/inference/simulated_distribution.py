@@ -1,4 +1,4 @@
-"""How far measured conditions are from a simulator, in units of its own scatter.
+"""Distance of measured conditions from a simulator, in units of its own scatter.
 
 A pool of simulated frames of each condition gives the distribution of its vector at the measured number of frames: its
 mean and its scatter. How the scatter of one entry goes with that of another follows from the noise of portions of the
@@ -43,7 +43,7 @@ Floats = NDArray[np.float64]
 
 
 class FrameModel(Protocol):
-    """What the workflow needs of a kind of sensor: one file each."""
+    """Interface of a kind of sensor for the workflow: one file each."""
 
     @property
     def fit(self) -> Sequence[Condition]:
@@ -93,7 +93,7 @@ class FrameModel(Protocol):
         ...
 
     def render_near(self, condition: Condition, log_intensity: float) -> None:
-        """What is simulated of the condition from here on lies about this weather."""
+        """Simulate the condition about this weather from here on."""
         ...
 
     def systematics(self, condition: Condition, strengths: Mapping[str, float]) -> list[Effect]:
@@ -151,7 +151,7 @@ def observations(model: FrameModel, conditions: Sequence[Condition]) -> list[Obs
 
 @dataclass(frozen=True)
 class ElementNoise:
-    """What the independent noise of the elements (beams, pixels, targets) of a frame makes of the vector.
+    """Effect on the vector of the independent noise of a frame's elements (beams, pixels, targets).
 
     Args:
         scatter: condition to ``(P,)`` standard deviation of each entry; 0 where it tells nothing.

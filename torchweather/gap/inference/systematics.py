@@ -1,4 +1,4 @@
-"""What must not be taken for a missing effect, and how much of a residual it explains.
+"""Causes that must not be taken for a missing effect, and how much of a residual they explain.
 
 With G the whitened change per standard deviation of each nuisance and x where they stand, a residual r leaves
 
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 
 class Systematics:
-    """What is not the model's fault, and how much of a residual it explains.
+    """Causes that are not the model's fault, and how much of a residual they explain.
 
     Args:
         response: ``(C P, K)`` G: whitened change per standard deviation of each.
@@ -66,7 +66,7 @@ class Systematics:
         return float(residual @ residual - along @ self._fixed @ along + self._unlikely(self.offset))
 
     def misfit(self, residual: Floats) -> float:
-        """What is left, squared, with what the moved nuisances cost."""
+        """Square of the residual, with the cost of the moved nuisances."""
         step = self.step(residual)
         unexplained = residual - self.response @ step
         return float(unexplained @ unexplained + self._unlikely(self.offset + step))

@@ -1,4 +1,4 @@
-"""What the catalogue does not explain: along which axis it shows, its curve, a formula, and a stage that copies it."""
+"""Remainder that the catalogue does not explain: its axis, its curve, a formula, and a stage that copies it."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Unknown:
 
 
 def unknown(result: GapResult) -> Unknown | None:
-    """What is left of a result; ``None`` where no statistic counts.
+    """Remainder of a result; ``None`` where no statistic counts.
 
     The statistic is chosen by what the best effects and the errors of the record and of the clear mean leave. A spread
     counts for what means along other axes do not explain: a ripple over the azimuth widens the spread at every range.

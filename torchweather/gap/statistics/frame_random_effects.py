@@ -1,4 +1,4 @@
-"""What whole frames do, and how well a model knows means: nuisances that the simulator cannot be moved along.
+"""Random effects of whole frames, and errors of a model's means: nuisances that the simulator cannot be moved along.
 
 The scatter of an entry says how far it departs, not that all entries of a frame go together, as they do when a scale or
 a clock is off.
@@ -44,11 +44,10 @@ class FrameDeparture:
 
 
 def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list[FrameDeparture]:
-    """What whole frames do to means and spreads of objects, from how clear frames of all scenes differ; summed up in
-    square, the variance of a frame.
+    """Departures of means and spreads of objects by whole frames, from the differences of clear frames of all scenes.
 
-    By more than the noise of their elements makes them differ, which is in the scatter of each entry: of the even shift
-    of a statistic, and of what is left of each frame, the excess over that counts.
+    The sum of their squares is the variance of a frame. The noise of a frame's elements is in the scatter of each entry
+    already: of the even shift of a statistic, and of the residual of each frame, the excess over it counts.
     """
     layout = model.layout
     # Clear frames hardly have particles; the few that one has say nothing of those in weather.

@@ -77,7 +77,7 @@ class Group:
         return len(self.edges) - 1
 
     def is_average_of(self, statistic: str) -> bool:
-        """Whether the entries are means of a statistic of the elements themselves, which a whole frame can move."""
+        """True where the entries are means of a statistic of the elements themselves, which a whole frame can move."""
         return self.statistic == statistic and self.kind == "mean" and self.axis != PARTICLE_AXIS
 
 
@@ -127,7 +127,7 @@ class Layout:
         return sum(group.bins for group in self.groups)
 
     def each(self, of: Callable[[Group], Any]) -> NDArray[Any]:
-        """What is said of a group, for each of its entries, ``(size,)``.
+        """Value of a group for each of its entries, ``(size,)``.
 
         Example:
             >>> layout = Layout((Group("ratio", "x", "mean", (0.0, 1.0, 2.0)),), ("ratio",), (1e-3,), ())
@@ -149,7 +149,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Reduced:
-    """What is kept of frames.
+    """Statistics that are kept of frames.
 
     Args:
         weight, value, square: ``(F, bins)`` sums over the elements of each bin of w, w v, w v^2.
@@ -232,7 +232,7 @@ class Pool:
         return found
 
     def influence(self, number: int) -> Floats:
-        """What each frame ``(F, size)`` does to the vector of ``number`` frames; 0 of what is no sum over bins.
+        """Influence of each frame ``(F, size)`` on the vector of ``number`` frames; 0 of what is no sum over bins.
 
         The infinitesimal jackknife: derivative of the entry by the frame's departure from the mean frame.
         """
@@ -348,7 +348,7 @@ class Pool:
 
 
 def _known_to(kind: str, weight: Floats, value: Floats, misplaced: float) -> Floats:
-    """What misplaced particles do to the entries of a group along the range of particles."""
+    """Error that misplaced particles make in the entries of a group along the range of particles."""
     number = value if kind == "count" else weight
     beside = np.convolve(number, [1.0, 0.0, 1.0], "same")
     share = np.minimum(misplaced * (1.0 + beside / np.maximum(number, 1.0)), 1.0)  # of a bin's own particles

@@ -25,7 +25,7 @@ UNIT_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class ArrayRule:
-    """What an array must be.
+    """Rule for an array.
 
     Args:
         shape: a number or a letter for each axis; a letter is the same number wherever it stands.

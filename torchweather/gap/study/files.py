@@ -44,7 +44,7 @@ SERIES = "series"
 
 @dataclass(frozen=True)
 class StudyValues:
-    """What ``study.yaml`` says, with the sensor built and each file found.
+    """Values of ``study.yaml``, with the sensor built and each file found.
 
     Args:
         owner: path of ``study.yaml``, for messages.
@@ -67,7 +67,7 @@ class StudyValues:
 
 
 def read_values(folder: Path) -> StudyValues:
-    """What the folder's ``study.yaml`` says; every path lies inside the folder and is a file."""
+    """Values of the folder's ``study.yaml``; every path lies inside the folder and is a file."""
     path = folder / STUDY_FILE
     owner, values = str(path), read_yaml(path, "a study", max_bytes=MOST_BYTES)
     check_format(values, FORMAT, owner, "a study")

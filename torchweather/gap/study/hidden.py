@@ -56,7 +56,7 @@ class HiddenStudy:
     weather_factor: Mapping[str, float]
 
     def truth(self) -> dict[str, Any]:
-        """What is hidden, as JSON takes it."""
+        """Hidden effects, as JSON takes them."""
         return {
             "effects": [
                 {

@@ -50,7 +50,7 @@ Values = Mapping[str, Any]
 
 
 class Parts(NamedTuple):
-    """What a study is made of."""
+    """Parts of a study."""
 
     beams: Frame
     scenes: dict[str, StudyScene]

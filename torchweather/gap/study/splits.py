@@ -1,4 +1,4 @@
-"""Which conditions are held out where a study does not say so."""
+"""Choice of the held-out conditions where a study names none."""
 
 from __future__ import annotations
 
@@ -53,6 +53,6 @@ def resolve_splits(conditions: Sequence[Condition]) -> tuple[Condition, ...]:
 
 
 def condition_group(condition: Condition) -> tuple[str, str]:
-    """What makes two conditions the same one: scene and weather, as text."""
+    """Key by which two conditions are the same one: scene and weather, as text."""
     weather = condition.weather
     return condition.scene, "" if weather is None else repr(sorted(weather.to_dict().items()))

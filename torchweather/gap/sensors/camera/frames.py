@@ -265,7 +265,7 @@ class CameraFrames:
     # ---- the chain -----------------------------------------------------------------------------------------------
 
     def _of(self, condition: Condition) -> CameraSums:
-        """What reduces frames of a condition."""
+        """Function that reduces frames of a condition."""
         found = self._sums.get(condition.id)
         if found is None:
             scene, transform = self.scenes[condition.scene], self.transform(condition)

@@ -1,4 +1,4 @@
-"""What particles cover of a camera's frames: rendered at a few rates for each seed, and taken between them.
+"""Cover of a camera's frames by particles: rendered at a few rates for each seed, and taken between them.
 
 The optical depth of drops and flakes grows with their number; between two neighbouring rates, and between two numbers
 of particles, it is taken as a line. The few particles that one of the two has more are then seen in part: at steps of

@@ -1,4 +1,4 @@
-"""What frames of a camera scene are compared with: its clear frames, and the bins that pixels are put into.
+"""References of a camera scene's frames: its clear frames, and the bins that pixels are put into.
 
 Pixels are looked at in cells of the colour filter array (2 x 2 px: one value per colour) and in blocks of 2 x 2 cells.
 A simulated frame starts from one clear frame and is compared with the mean of the others, a measured one with the mean
@@ -105,7 +105,7 @@ class CameraScene:
 
     @property
     def level_ground(self) -> Tensor:
-        """Which blocks lie on level ground ``(h, w)``."""
+        """Mask of the blocks on level ground ``(h, w)``."""
         assert self.normal is not None
         return level_ground(self.normal)
 

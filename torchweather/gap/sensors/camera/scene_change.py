@@ -1,4 +1,4 @@
-"""Whether the scene of a camera study is another one in weather than in clear air.
+"""Check of a camera study's scene: another one in weather than in clear air, or the same.
 
 What stands elsewhere has edges that the clear frames lack, the same ones in every condition. Drops on the window are
 elsewhere in each condition, streaks in each frame; fog and blur take edges away; wet roads mirror, and are left out.
@@ -162,7 +162,7 @@ def with_parts_ignored(study: S, names: Sequence[str], owner: str = "find_gap") 
 
 
 def _offer(scene: str, places: Sequence[tuple[int, int]]) -> str:
-    """How to go on in spite of few parts."""
+    """Advice for going on in spite of few parts."""
     if len(places) > MOST_IGNORED:
         return ""
     names = part_names(scene, places)

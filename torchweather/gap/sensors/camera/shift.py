@@ -1,4 +1,4 @@
-"""By how far camera frames are displaced: each colour's regression on the gradients of the clear scene.
+"""Displacement of camera frames: each colour's regression on the gradients of the clear scene.
 
 Light that is moved by a displacement d departs by ``-d . grad I``. The sum of ``residual * gradient`` over that of
 squared gradients is the displacement of an image as a whole, across and down, in pixels; with the gradient along the
@@ -117,5 +117,5 @@ class Shifts:
 
 
 def _cells(portion: Tensor | None, portions: int) -> list[Tensor | slice]:
-    """Which cells are in each portion."""
+    """Mask of the cells in each portion."""
     return [slice(None)] if portion is None else [portion == number for number in range(portions)]

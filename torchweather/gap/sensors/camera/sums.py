@@ -69,7 +69,7 @@ MAPS = ("log_ratio_map", "lone_pixel_map")
 
 
 def camera_layout(scene: CameraScene, colours: Sequence[str]) -> Layout:
-    """Which statistics along which of the axes that a scene has.
+    """Statistics along each of the axes that a scene has.
 
     Args:
         scene: any of the study.
@@ -302,7 +302,7 @@ class CameraSums:
         return parted(edges.place, number, total, about(number, total, noise))
 
     def _displaced(self, residual: Tensor, portion: Tensor | None, portions: int) -> tuple[Floats, Floats, Floats]:
-        """By how far each colour is displaced."""
+        """Displacement of each colour."""
         number, total, noise = self._shifts.sums(residual, portion, portions)
         return number, total, about(number, total, noise)
 

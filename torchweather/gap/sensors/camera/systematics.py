@@ -1,4 +1,4 @@
-"""What the model of a camera's frames leaves open: how much particles stand out, how bright the airlight is."""
+"""Systematic uncertainties of a camera's frames: how much particles stand out, how bright the airlight is."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["AirlightError", "ParticleContrast"]
 
 
 class ParticleContrast(Effect):
-    """How much drops and flakes stand out, as far as it is not known: what light they bend in, how blurred they are.
+    """Contrast of drops and flakes, as far as it is not known: what light they bend in, how blurred they are.
 
     Args:
         share: of what they change in the picture, more.

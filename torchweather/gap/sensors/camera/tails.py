@@ -159,7 +159,7 @@ def _beside(values: Tensor) -> Tensor:
 
 
 def _far_out(relative: Tensor, classes: Tensor, portion: Tensor | None, portions: int) -> tuple[Floats, Floats]:
-    """How many cells there are ``(F * portions, classes)``, and how many are far out on either side, upwards first,
+    """Number of cells ``(F * portions, classes)``, and of those far out on either side, upwards first,
     ``(F * portions, classes, 2, bins)`` of ``TAILS_SD``.
 
     Args:

@@ -1,4 +1,4 @@
-"""What frames of a LiDAR scene are compared with: its clear frames, beam by beam, and the bins that beams are put into.
+"""References of a LiDAR scene's frames: its clear frames, beam by beam, and the bins that beams are put into.
 
 A beam is *stable* where all clear frames see one surface, well above the threshold of detection, and *empty* where none
 sees anything; others are left out. A simulated frame starts from one clear frame and is compared with the others, a

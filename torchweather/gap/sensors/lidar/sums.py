@@ -67,7 +67,7 @@ ABOUT_CLEAR_MEAN = ("range_residual_spread",)
 
 
 def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, beams: int) -> Layout:
-    """Which statistics along which of the axes that a scene has.
+    """Statistics along each of the axes that a scene has.
 
     Args:
         edges: of the bins of each axis.
@@ -254,8 +254,8 @@ class LidarSums:
     def _of_surfaces(
         self, range_m: Tensor, intensity: Tensor, row: Tensor, portion: Tensor, portions: int
     ) -> tuple[Tensor, tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
-        """Which stable beams see a particle ``(F, S)``; numbers and sums along the axes that follow the reference, and
-        along those that do not."""
+        """Mask ``(F, S)`` of the stable beams that see a particle; numbers and sums along the axes that follow the
+        reference, and along those that do not."""
         if portions == 1 and uses_compiled():
             return self._compiled(range_m, intensity, row)
         compared, before = self._compared(range_m, intensity, row)
@@ -298,7 +298,7 @@ class LidarSums:
         return self._compiled_surfaces[reference]
 
     def _compared(self, range_m: Tensor, intensity: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        """What became of each stable beam ``(F, rows, S)``, and which of them see a particle ``(F, S)``."""
+        """Outcome of each stable beam ``(F, rows, S)``, and which of them see a particle ``(F, S)``."""
         beam, tolerance_m = self.surfaces.beam, self.scene.tolerance_m
         range_m = range_m[:, beam]
         seen = range_m > 0

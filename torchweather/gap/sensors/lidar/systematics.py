@@ -1,4 +1,4 @@
-"""What a LiDAR study leaves open about the model and what must not be taken for a missing effect.
+"""Systematic uncertainties of a LiDAR study, which must not be taken for a missing effect.
 
 Each stage here has the strength of one standard deviation of what nobody knows; the search forgets departures along its
 response (``search.Systematics``). They are not effects of the catalogue and never an answer.
@@ -113,7 +113,7 @@ class ParticleReading(Effect):
 
 
 class EchoGain(Effect):
-    """How bright particles are, as far as it is not known: their albedo and shape; in fog, how far the largest of a few
+    """Brightness of particles, as far as it is not known: their albedo and shape; in fog, how far the largest of a few
     noisy readings stands above their mean, which is a matter of the receiver's bandwidth.
 
     Args:

@@ -1,4 +1,4 @@
-"""What the radar's effects do to a microwave link: a link's two covers are what one cover is to a radar, both ways.
+"""Effects of a radar on a microwave link: a link's two covers are what one cover is to a radar, both ways.
 
 References:
     GAP.md 2; ``physics/wet_cover.py``.

@@ -161,7 +161,7 @@ def _since_rain(time_s: Floats, rain_mm_per_h: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class Scatter:
-    """How samples scatter about the means of their cells, variances in dB^2.
+    """Scatter of samples about the means of their cells, variances in dB^2.
 
     Args:
         link: common to all samples of a link in a cell.

@@ -182,7 +182,7 @@ def rain_attenuation_db(links: Mapping[str, Array], rain_mm_per_h: Array) -> Arr
 
 
 def dry_samples(time_s: Array, rain_mm_per_h: Array) -> NDArray[np.bool_]:
-    """Which samples ``(T, L)`` of links are further than 15 min from rain of more than 0.1 mm/h on their path.
+    """Mask ``(T, L)`` of the links' samples that are further than 15 min from rain of more than 0.1 mm/h on their path.
 
     Args:
         time_s: ``(T,)``, rising.

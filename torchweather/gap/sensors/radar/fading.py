@@ -1,4 +1,4 @@
-"""How often a radar target that fluctuates is lost by chance.
+"""Probability that a fluctuating radar target is lost by chance.
 
 A target either stands still, and its power departs by the receiver's noise alone, or its parts move against each other
 and its power is exponential (Swerling's case 1). A handful of clear frames does not tell which by their spread: of

@@ -253,7 +253,7 @@ class RadarFrames:
         log_intensity: float,
         seeds: list[int],
     ) -> Detections:
-        """What comes out of the chain for clear frames ``(F,)`` at their places in the recording ``(F,)``."""
+        """Output of the chain for clear frames ``(F,)`` at their places in the recording ``(F,)``."""
         scene, transform = self.scenes[condition.scene], self.transform(condition)
         chain = with_effects(transform.chain, [*self.effects, *(one for one in effects if one.id in EFFECTS)])
         for one in effects:

@@ -1,4 +1,4 @@
-"""How a radar's list is read out: values that come again, and speeds far off.
+"""Readout of a radar's list: values that come again, and speeds far off.
 
 A list that is written in steps holds values that several targets share exactly; noise of a receiver makes none. Speeds
 that are folded by the ambiguity, or paired with the wrong chirp, are few and far off, which a spread does not tell from
@@ -19,7 +19,7 @@ FAR_OFF_SD = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 1e4)  # of a target's own spread 
 
 
 def repeated(values: Floats) -> Flags:
-    """Which values ``(F, N)`` another one of the same frame equals exactly; none of NaN.
+    """Mask of the values ``(F, N)`` that another one of the same frame equals exactly; none of NaN.
 
     Example:
         >>> repeated(np.array([[-80.0, -75.5, -80.0, np.nan, np.nan]])).tolist()
@@ -33,7 +33,7 @@ def repeated(values: Floats) -> Flags:
 
 
 def far_off(departure: Floats, spread: Floats) -> Floats:
-    """Which bin of ``FAR_OFF_SD`` each departure is in, ``(F, N, bins)``: 1 there, nowhere where it is nearer or NaN.
+    """Bin of ``FAR_OFF_SD`` of each departure, ``(F, N, bins)``: 1 there, nowhere where it is nearer or NaN.
 
     Args:
         departure: ``(F, N)``.

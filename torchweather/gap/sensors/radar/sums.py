@@ -92,7 +92,7 @@ ANSCOMBE = 3.0 / 8.0
 
 
 def radar_layout(edges: Mapping[str, tuple[float, ...]]) -> Layout:
-    """Which statistics along which of the axes that the scenes have.
+    """Statistics along each of the axes that the scenes have.
 
     Args:
         edges: of the bins of each axis (``radar_edges``).
@@ -201,7 +201,7 @@ class RadarSums:
     def _of_targets(
         self, frames: Detections, row: Whole, loss_db: Floats, lever: Floats, together: int
     ) -> dict[str, Floats]:
-        """What is summed of each target, ``(F, N)``; 0 where it does not count."""
+        """Summand of each target, ``(F, N)``; 0 where it does not count."""
         scene = self.scene
         reference = {name: values[row] for name, values in scene.reference.items()}
         counted = scene.counted[row]
@@ -257,7 +257,7 @@ class RadarSums:
         return np.asarray(np.moveaxis(apart, -1, 1).reshape(count, values.shape[1], hot.shape[-1]), dtype=np.float64)
 
     def _far_off(self, frames: Detections, row: Whole, portions: int) -> tuple[Floats, Floats, Floats]:
-        """How many targets' speeds are so far from their mean in clear air, of all; none where that tells no spread."""
+        """Number of targets with speeds so far from their mean in clear air, of all; none where that has no spread."""
         scene = self.scene
         known = scene.counted[row] & (len(scene.clear) >= FEWEST_CLEAR)
         there = (~np.isnan(frames.speed_m_per_s) & known).astype(np.float64)
@@ -268,14 +268,14 @@ class RadarSums:
         return np.repeat(number, far.shape[1], 1), far, far
 
     def _repeated(self, frames: Detections, name: str, row: Whole, portions: int) -> tuple[Floats, Floats, Floats]:
-        """How many targets have a value that another one has, of all; none where clear frames have such."""
+        """Number of targets with a value that another one has, of all; none where clear frames have such."""
         values = np.where(self.scene.counted[row], getattr(frames, name), np.nan)
         there = (~np.isnan(values)).astype(np.float64)[:, None] * (not self._in_steps[name])
         again = self._summed(there, repeated(values)[..., None].astype(np.float64), portions)[:, 0]
         return self._summed(there, np.ones((*values.shape, 1)), portions)[:, 0], again, again
 
     def _floor(self, frames: Detections, row: Whole, portions: int) -> tuple[Floats, Floats, Floats]:
-        """By how much each frame's floor fills the steps above that of clear air; all of it in the first portion."""
+        """Share of the steps that each frame's floor fills above that of clear air; all of it in the first portion."""
         above = frames.floor_db - self.scene.reference_floor_db[row]
         low, high = floor_ramps()
         filled = np.clip((above[:, None] - low) / (high - low), 0.0, 1.0)
@@ -305,8 +305,7 @@ class RadarSums:
         }
 
     def _behind(self, frames: Detections) -> tuple[Floats, Floats]:
-        """By how far, m, each further detection lies behind the target that it follows best, and by how much it is
-        fainter, dB; NaN where it follows none."""
+        """Distance, m, of each further detection behind the target that it follows best, and its loss, dB; else NaN."""
         scene, frame = self.scene, frames.clutter_frame
         if not len(frame):
             return np.zeros(0), np.zeros(0)
@@ -354,7 +353,7 @@ def _as_many(weight: Floats, hot: Floats) -> Floats:
 
 
 def _at_one_delay(delay_m: Floats) -> Flags:
-    """Which delays lie by their median. Noise that is detected behind a target by chance follows it anyhow, and one
+    """Mask of the delays near their median. Noise that is detected behind a target by chance follows it anyhow, and one
     such detection at 100 m would move the mean logarithm of fifteen delays of 2.5 m by a quarter."""
     follows: Flags = ~np.isnan(delay_m)
     if not follows.any():

@@ -1,4 +1,4 @@
-"""What a radar study leaves open about the model and what must not be taken for a missing effect.
+"""Systematic uncertainties of a radar study, which must not be taken for a missing effect.
 
 Each stage here has the strength of one standard deviation of what nobody knows; the search forgets departures along its
 response (``search.Systematics``). They are not effects of the catalogue and never an answer.
