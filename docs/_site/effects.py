@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -73,10 +73,11 @@ def overview(listed: list[Effect]) -> str:
     return "\n".join([*lines, ""])
 
 
-def page(effect: Effect, picture: dict[str, object]) -> str:
+def page(effect: Effect, picture: dict[str, Any]) -> str:
     """Description, parameters and confusable effects, with the picture of the gallery and the lines that made it."""
     whole = f"../../effects-{effect.sensor}.md"
     of_class = f"[`{effect.class_name}`](../torchweather.{effect.sensor}.effects.all/{effect.class_name}.md)"
+    title = picture["title"]
     gallery = f"[gallery](../../gallery/{effect.sensor}.md)"
     text = LINK.sub(lambda match: f"]({'../../' + match[1] if match[1] else whole}{match[2] or ''})", effect.text)
     return "\n".join(
@@ -91,10 +92,10 @@ def page(effect: Effect, picture: dict[str, object]) -> str:
             "",
             slider(picture, "../../../"),
             "",
-            f"{picture['title']}. The lines follow those at the top of the {gallery}:",
+            f"{title[0].upper()}{title[1:]}. These lines follow those at the top of the {gallery}:",
             "",
             "```python",
-            str(picture["code"]).rstrip(),
+            picture["code"].rstrip(),
             "```",
             "",
         ]
