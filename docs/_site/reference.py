@@ -96,6 +96,8 @@ def find(package: griffe.Object | griffe.Alias, module: str, name: str) -> griff
     inside = f"{module}.{name}".removeprefix(f"{PACKAGE}.")
     try:
         member = package[inside]
+        if member.is_module and name in member.members:  # a file of the same name
+            member = member.members[name]
         return member.final_target if member.is_alias else member
     except KeyError as error:
         raise PluginError(f"docs/public-names.md lists {module}.{name}, which the source does not define") from error
