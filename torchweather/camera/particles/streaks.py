@@ -282,7 +282,7 @@ def add_pairs(
 
 
 def _between(edges: Tensor) -> Tensor:
-    """What lies between two edges, of a distribution function at them, ``(2, P)``."""
+    """Share between two edges, of a distribution function at them, ``(2, P)``."""
     return edges[1] - edges[0]
 
 

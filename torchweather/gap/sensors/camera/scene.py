@@ -170,7 +170,7 @@ def block_levels(bayer: Tensor, pattern: str) -> Tensor:
 
 
 def level_ground(normal: Tensor) -> Tensor:
-    """Which blocks ``(h, w)`` lie on level ground, from normals ``(3, H, W)`` in the vehicle's frame."""
+    """Mask of the blocks ``(h, w)`` that lie on level ground, from normals ``(3, H, W)`` in the vehicle's frame."""
     up = torch.nn.functional.avg_pool2d(normal[None, 2:], 2 * BLOCK_CELLS)[0, 0]
     return up > LEVEL_GROUND
 
