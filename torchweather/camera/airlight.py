@@ -206,7 +206,12 @@ def thinned(state: CameraState, image: Tensor, steps_px: tuple[int, int]) -> Ten
 
 
 def _phases(mosaic: Tensor, down: int = 1, across: int = 1) -> Tensor:
-    """Planes ``(B, 4, rows, columns)`` of the phases of a mosaic ``(B, 1, H, W)``, from some of its cells."""
+    """Planes ``(B, 4, rows, columns)`` of the phases of a mosaic ``(B, 1, H, W)``.
+
+    Args:
+        mosaic: the raw frame.
+        down, across: from one row and column of cells that is taken to the next.
+    """
     b, _, height, width = mosaic.shape
     cells = mosaic.reshape(b, height // 2, 2, width // 2, 2)[:, ::down, :, ::across]
     rows, columns = cells.shape[1], cells.shape[3]

@@ -321,10 +321,9 @@ class Population(nn.Module):
         share = position - cell  # beyond the ends: the end cells' power law
         index = cell.long()
 
-        both = torch.cat([index, index + 1])
-
         def between(table: Tensor, weight: Tensor) -> Tensor:
             if is_exporting():  # of one rate, few operations
+                both = torch.cat([index, index + 1])
                 weights = torch.cat([1 - weight, weight]).view(2, *[1] * (table.ndim - 1))
                 return (table.index_select(0, both) * weights).sum(0, keepdim=True)
             weight = weight.reshape(-1, *[1] * (table.ndim - 1))
