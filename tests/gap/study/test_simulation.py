@@ -274,3 +274,26 @@ def test_every_clear_frame_is_a_start_equally_often() -> None:
     counts = np.bincount(starts, minlength=4)
     # Binomial of 800 and 1/4: 200 with a standard deviation of 12.2; four of them.
     assert np.abs(counts - 200).max() < 49
+
+
+def test_integers_are_rounded_once() -> None:
+    """Mean loss of dark returns: half a step of rounding on both sides cancels, as in frames of the sensor."""
+    beams = np.tile([1.0, 0.0, 0.0], (8, 512, 1))
+    levels = np.full((8, 512), 3.0, np.float32)
+    frame = {"range_m": np.full((8, 512), 8.0, np.float32), "intensity": levels}
+    lidar = Lidar(905.0, intensity_unit="uint8_calibrated")
+    built = Study.from_arrays(
+        sensor=lidar,
+        beams={"direction": beams},
+        scenes=[{"id": "s0", "clear": [frame, frame]}],
+        conditions=[{"id": "c0", "scene": "s0", "weather": "fog:mor=250", "frames": [frame]}],
+    )
+    found = simulate(built, built.conditions[0], seed=1)
+    seen = np.isclose(found["range_m"], 8.0, atol=1e-3)
+    passed = math.exp(-2.0 * 8.0 * float(LidarWeather(Fog(mor_m=250.0), lidar).extinction_per_m))
+    # Levels spread evenly over 3 to 4, dimmed and rounded down: the share that falls below 3.
+    below = min((3.0 / passed - 3.0), 1.0)
+    assert 0.2 < below < 0.9
+    share = float(np.mean(found["intensity"][seen] < 3.0))
+    assert share == pytest.approx(below, abs=4 * math.sqrt(below * (1 - below) / seen.sum()) + 2e-3)
+    assert set(np.unique(found["intensity"][seen])) <= {2.0, 3.0}

@@ -60,6 +60,14 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "rounded_twice",
+        "weather is put on intensities as they were before the sensor rounded them",
+        "torchweather.gap.sensors.lidar.study_kind",
+        "levels + share, 0.0",
+        "levels + 0.5, 0.0",
+        ("tests/gap/study/test_simulation.py::test_integers_are_rounded_once",),
+    ),
+    Mutant(
         "one_way_of_two",
         "the light of a LiDAR loses the extinction there and back",
         "torchweather.evaluation.fit.path_line",

@@ -16,24 +16,27 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.random import keyed_stream
 from torchweather.gap.study.checks import UNIT_TOLERANCE, ArrayRule, refuse, unit_vectors
 from torchweather.gap.study.conditions import Condition, StudyContent
 from torchweather.gap.study.frames import Frame
 from torchweather.gap.study.kinds import Finding, Given, Looks, Paths, StudyKind, place
 from torchweather.gap.study.recorded_frames import CloudFile, beam_directions
 from torchweather.io.points import POINT_SUFFIXES
-from torchweather.lidar.intensity import FULL_SCALE, reflectivity_from_intensity
+from torchweather.lidar.intensity import EIGHT_BITS, FULL_SCALE, are_integers, reflectivity_from_intensity
 from torchweather.lidar.scan import scan_directions
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.transform import LidarWeather
 from torchweather.pipeline.effect import Effect
 from torchweather.pipeline.point_kind import PointKind
+from torchweather.scenes.lidar_view import reported_intensity
 
 __all__ = ["LidarStudy", "simulated_lidar"]
 
 # The darkest calibrated target that is sold (Spectralon) reflects 2 %; half of a scene is never half as dark.
 DARKEST = 0.01
 GRID = ("H", "W")
+INSIDE_STEP = (0.002, 0.998)  # of a level of intensity, away from the rounding of float32 at its ends
 
 Array = NDArray[Any]
 
@@ -112,15 +115,24 @@ class LidarStudy(StudyKind):
     ) -> Frame:
         """A scan in the condition's weather."""
         assert condition.weather is not None
-        return simulated_lidar(
+        lidar = study.sensor_as(Lidar)
+        intensity = torch.from_numpy(np.array(start["intensity"], dtype=np.float32))
+        rounded = lidar.intensity_unit in EIGHT_BITS and bool(are_integers(intensity[None], lidar.intensity_unit).all())
+        if rounded:
+            start = {**start, "intensity": _unrounded(start, lidar, seed)}
+        frame = simulated_lidar(
             start,
             study.beams["direction"],
             condition.weather,
-            study.sensor_as(Lidar),
+            replace(lidar, intensity_unit="reflectivity") if rounded else lidar,
             seed,
             effects=effects,
             geometry=study.scenes[condition.scene].geometry,
         )
+        if not rounded:
+            return frame
+        reflectivity, range_m = (torch.from_numpy(frame[name]) for name in ("intensity", "range_m"))
+        return {**frame, "intensity": reported_intensity(reflectivity, range_m, lidar).numpy()}
 
     def signals(self, frame: Frame) -> Array:
         """Intensities of the returns."""
@@ -236,6 +248,19 @@ def simulated_lidar(
         "range_m": found.masked_fill(lost, 0.0).reshape(grid).numpy(),
         "intensity": result.points[:, 3].masked_fill(lost, 0.0).reshape(grid).numpy(),
     }
+
+
+def _unrounded(clear: Frame, lidar: Lidar, seed: int) -> Array:
+    """Reflectivities that a sensor rounds down to the integers of a frame, drawn evenly within each step.
+
+    A sensor in weather rounds once. Weather on integers would round twice: losses below a step vanish, and dark returns
+    are lost that a sensor keeps.
+    """
+    levels = np.asarray(clear["intensity"], dtype=np.float64)
+    low, high = INSIDE_STEP
+    share = low + (high - low) * keyed_stream(seed, "gap.intensity_within_step").random(size=levels.shape)
+    within = torch.from_numpy(np.where(np.asarray(clear["range_m"]) > 0, levels + share, 0.0).astype(np.float32))
+    return reflectivity_from_intensity(within, lidar.intensity_unit, lidar.assumed_reflectivity).numpy()
 
 
 def _with_effects(
