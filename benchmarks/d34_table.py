@@ -141,6 +141,17 @@ def heaviest_over_lightest(rows: Sequence[Row], names: Sequence[str]) -> str:
     return table(["score", f"measured, {low}", f"measured, {high}", f"simulated, {low}", f"simulated, {high}"], lines)
 
 
+def of_radar(rain: Sequence[Row], fog: Sequence[Row]) -> str:
+    """Scores of the radar in every variant, measured above simulated."""
+    lines = []
+    for weather, rows in (("rain", rain), ("fog", fog)):
+        lines.append([weather, "**measured**", "", *(number(measured(rows, name)) for name in CLOUD)])
+        for variant in rows[0]["simulated"]:
+            cells = [number(simulated(rows, variant, name)) for name in ("detections", *CLOUD)]
+            lines.append([weather, SHOWN_AS.get(variant, variant), *cells])
+    return table(["weather", "variant", "detections", *map(title, CLOUD)], lines)
+
+
 def page(found: dict[str, Any]) -> str:
     rows = found["rows"]
     camera_fog, camera_rain = of(rows, "camera", "fog"), of(rows, "camera", "rain")
@@ -210,6 +221,12 @@ def page(found: dict[str, Any]) -> str:
             f"fog_{name}[{variant}]": number(simulated(camera_fog, variant, name))
             for variant in camera_fog[0]["simulated"]
         }
+    radar_fog, radar_rain = of(rows, "radar", "fog"), of(rows, "radar", "rain")
+    values["radar"] = of_radar(radar_rain, radar_fog)
+    values["radar_clear"] = number(simulated(radar_rain, "clear", "detections"))
+    values["radar_rain"] = f"{simulated(radar_rain, RECORDED, 'detections'):.0f}"
+    values["radar_rain_sdm"] = number(simulated(radar_rain, RECORDED, "sdm"))
+    values["radar_clear_sdm"] = number(simulated(radar_rain, "clear", "sdm"))
     farthest = max(row["measured"]["hd"] for row in lidar_rain)
     values["hd_real"] = number(farthest)
     values["hd_ours"] = number(max(row["simulated"][v]["hd"] for row in lidar_rain for v in row["simulated"]))

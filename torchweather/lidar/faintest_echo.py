@@ -52,7 +52,7 @@ def particle_gain(stages: Iterable[Stage]) -> float:
     Example:
         >>> import torchweather as tw
         >>> brighter = {"effect": "lidar.particle_backscatter", "gain_db": 3.0}
-        >>> chain = tw.LidarRain(tw.Rain(10.0), "velodyne-hdl64e", effects=[brighter]).chain
+        >>> chain = tw.LidarRain(tw.Rain(10.0), tw.Lidar.preset("velodyne-hdl-64e"), effects=[brighter]).chain
         >>> round(particle_gain(list(chain.stages.values())[3:]), 3)
         1.995
     """

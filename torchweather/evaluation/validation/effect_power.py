@@ -60,7 +60,7 @@ class TriedEffect:
     Example:
         >>> tried = TriedEffect(EFFECTS["lidar.window_loss"])
         >>> tried.at(0.5), tried.value(0.5), tried.strength(60.0)
-        (LidarWindowLoss(loss_db=1.0), 1.0, 30.0)
+        (LidarWindowLoss(loss_db=1.0), 1.0, 15.0)
     """
 
     effect: type[Effect]
