@@ -4,7 +4,8 @@
 
 ROADVIEW D3.4 prints scores of measured frames against clear ones (appendix 10.1.1, 10.1.2, 10.2.1, 10.2.2, 10.3.1,
 10.3.2) and of its own models (10.1.7, 10.1.8, 10.2.6, 10.2.7, 10.3.4, 10.3.5). Each printed condition of rain and fog
-is simulated in the hall or tunnel that it comes from, with its target at its distance. Fixed before any figure was looked at:
+is simulated in the hall or tunnel that it comes from, with its target at its distance. Fixed before any figure was
+looked at:
 
 - the score of a condition is the mean over ``SEEDS``;
 - "as recorded" is what stands beside the measured score: clear and weathered frame have noise of their own, a camera
