@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from torchweather.core.compiled import jit
 from torchweather.core.compiled_math import exp_of, log_of_sum
-from torchweather.lidar.returns.compiled_echoes import Part, position_of, range_before, row_before, signal_at
+from torchweather.lidar.returns.compiled_echoes import Part, write_echoes
 from torchweather.pipeline.point_kind import PointKind
 
 __all__ = ["UNITS", "Cloud", "Drawn", "Out", "Receiver", "weather_beams"]
@@ -198,33 +198,6 @@ def _add_objects(
 
 
 @jit
-def _add_particles(echoes: Echoes, reach_m: Array, faintest: np.float32, part: Part, first: int) -> None:
-    """Add the echoes of one kind of weather to the lists of a block of beams, as ``ParticleReturns``."""
-    most = part.arrival.shape[0]
-    arrivals, places = part.arrival, part.at
-    ranges, signals, counts = echoes.range_m, echoes.signal, echoes.number
-    for at in range(counts.size if most > 0 else 0):
-        beam = first + at
-        far_m = reach_m[beam]
-        if arrivals[0, beam] >= part.never or not far_m > part.near_m:
-            continue
-        position = position_of(part, far_m)
-        arrived, count = ZERO, counts[at]
-        for echo in range(most):
-            arrived -= log_of_sum(ZERO, ONE - arrivals[echo, beam])
-            row = row_before(part, position, arrived)
-            if not row > ZERO:
-                break
-            signal = signal_at(part, row)
-            if signal < faintest:
-                break
-            ranges[at, count] = range_before(part, row, position, places[echo, beam], far_m)
-            signals[at, count] = signal
-            count += 1
-        counts[at] = count
-
-
-@jit
 def _strongest(strength: Array, at: int, count: int) -> int:
     """The first of the strongest echoes; -1 where none is seen."""
     found, best = -1, ZERO
@@ -388,12 +361,25 @@ def weather_beams(
     most = 1 + first_part.arrival.shape[0] + second_part.arrival.shape[0] + third_part.arrival.shape[0]
     maps = np.empty((3, BLOCK, most), np.float32)
     counts, chosen = np.empty(BLOCK, np.int32), np.empty((BLOCK, 2), np.int32)
+    no_density = np.empty(0, np.float32)
     for begin in range(first, last, BLOCK):
         some = min(BLOCK, last - begin)
         echoes = Echoes(maps[0, :some], maps[1, :some], maps[2, :some], counts[:some], chosen[:some])
         _add_objects(echoes, out.clear_signal, cloud, drawn.margin, receiver, begin)
         for part in (first_part, second_part, third_part):
-            _add_particles(echoes, cloud.reach_m, receiver.threshold, part, begin)
+            write_echoes(
+                echoes.range_m,
+                echoes.signal,
+                echoes.number,
+                cloud.reach_m,
+                no_density,
+                part,
+                True,
+                receiver.threshold,
+                begin,
+                begin + some,
+                begin,
+            )
         _choose(echoes, cloud.range_m, receiver, begin)
         _report(out, out.points, echoes, drawn.range_noise, cloud, receiver, 0, begin)
         if receiver.mode == 3:

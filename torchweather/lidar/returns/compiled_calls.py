@@ -88,24 +88,18 @@ def compiled_echoes(
     of_beams = NO_MAP if density is None else array_of(density)
     shares = max(1, min(threads_at_hand(), count // FEWEST_BEAMS))
     edges = [count * share // shares for share in range(shares + 1)]
-    most = [1] * (batch * shares)
-
-    def write(task: int, sample: int, own: Part, first: int, last: int) -> None:
-        written = ranges[sample].numpy(), signals[sample].numpy(), reach[sample]
-        dense = of_beams[min(sample, len(of_beams) - 1)] if len(of_beams) else NO_ROW
-        low = np.float32(0.0 if faintest is None else float(faintest))
-        most[task] = max(1, write_echoes(*written, dense, own, isinstance(part, BeamParticles), low, first, last))
-
+    counts = np.zeros((batch, count), np.int32)
+    low, is_counted = np.float32(0.0 if faintest is None else float(faintest)), isinstance(part, BeamParticles)
     tasks = []
     for sample in range(batch):
         variates = array_of(arrival[sample]), array_of(place[sample])
         own = part_of(part, beam, table.of_sample(sample), *variates, least)
-        tasks += [
-            partial(write, sample * shares + share, sample, own, first, last)
-            for share, (first, last) in enumerate(pairwise(edges))
-        ]
+        dense = of_beams[min(sample, len(of_beams) - 1)] if len(of_beams) else NO_ROW
+        written = ranges[sample].numpy().T, signals[sample].numpy().T, counts[sample]
+        call = partial(write_echoes, *written, reach[sample], dense, own, is_counted, low)
+        tasks += [partial(call, first, last, 0) for first, last in pairwise(edges)]
     side_by_side(tasks)
-    echoes = max(most, default=1)
+    echoes = max(int(counts.max(initial=1)), 1)
     return ranges[:, :echoes].transpose(1, 2), signals[:, :echoes].transpose(1, 2)
 
 

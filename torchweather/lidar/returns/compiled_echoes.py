@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torchweather.core.compiled import jit
 from torchweather.core.compiled_math import exp_of, log_of_sum
 
-__all__ = ["Part", "position_of", "range_before", "row_before", "signal_at", "write_echoes"]
+__all__ = ["Part", "write_echoes"]
 
 Array = NDArray[np.float32]
 
@@ -68,50 +68,10 @@ def _node(position: np.float32, nodes: int) -> int:
 
 
 @jit
-def position_of(part: Part, range_m: np.float32) -> np.float32:
-    """Place of a range on the grid; those before its first node are 0."""
-    along = log_of_sum(ONE, max(range_m - part.near_m, ZERO) / part.scale_m) * part.position_scale
-    return min(along, np.float32(part.nodes - 1))
-
-
-@jit
-def row_before(part: Part, position: np.float32, arrived: np.float32) -> np.float32:
-    """Place on the axis of signals of the strongest particle before a place of the grid; not above 0: none."""
-    late = log_of_sum(ZERO, arrived) * part.late_scale - part.late_shift if arrived > ZERO else ZERO
-    late = min(max(late, ZERO), np.float32(part.arrivals - 1))
-    column, early = _node(position, part.nodes), _node(late, part.arrivals)
-    own, index, row_of = late - np.float32(early), column * part.arrivals + early, part.signal
-    here = _between(row_of[index], row_of[index + 1], own)
-    index += part.arrivals
-    farther = _between(row_of[index], row_of[index + 1], own)
-    return _between(here, farther, position - np.float32(column))
-
-
-@jit
-def signal_at(part: Part, row: np.float32) -> np.float32:
-    """Signal at a place of its axis."""
-    along = part.low + part.step * row
-    return along * along * part.photon_signal if part.photon_signal > ZERO else exp_of(along)
-
-
-@jit
-def range_before(part: Part, row: np.float32, position: np.float32, place: np.float32, far_m: np.float32) -> np.float32:
-    """Range, m, of the particle of a place on the axis of signals, at a variate of its place, before ``far_m``."""
-    column, node = _node(position, part.nodes), _node(row, part.signals)
-    index, share_of, place_of = node * part.nodes + column, part.share, part.place
-    before = _between(share_of[index], share_of[index + 1], position - np.float32(column)) * place
-    before = min(max(before, ZERO), ONE)
-    v = np.sqrt(before / (ONE + np.sqrt(ONE - before))) * np.float32(part.places - 1)
-    cell = _node(v, part.places)
-    index = node * part.places + cell
-    found = min(_between(place_of[index], place_of[index + 1], v - np.float32(cell)), position)
-    return min(part.near_m + part.scale_m * (exp_of(found * part.stretch) - ONE), far_m)
-
-
-@jit
 def write_echoes(
     range_m: Array,
     signal: Array,
+    counts: NDArray[np.int32],
     reach_m: Array,
     density: Array,
     part: Part,
@@ -119,39 +79,63 @@ def write_echoes(
     faintest: np.float32,
     first: int,
     last: int,
-) -> int:
-    """Write the echoes of some beams; those that a beam does not have are left as they are.
+    origin: int,
+) -> None:
+    """Add the echoes of some beams to their lists.
 
     Args:
-        range_m, signal: ``(echoes, N)``, written.
+        range_m, signal: ``(beams, echoes)``, written.
+        counts: ``(beams,)`` echoes that each list holds, raised.
         reach_m: ``(N,)`` up to which particles count.
         density: ``(N,)`` of each beam over that of the weather; ``(0,)`` is 1.
         part: returns of one kind of weather.
         is_counted: whether the density counts particles; else it is the share of the light.
         faintest: signal of the faintest echo that counts; 0 counts every one of the table.
         first, last: beams.
-
-    Returns:
-        The largest number of echoes of a beam.
+        origin: beam of the first list.
     """
-    most, has_density = 0, density.size > 0
-    arrivals, places = part.arrival, part.at
-    for beam in range(first, last):
-        far_m, own = reach_m[beam], density[beam] if has_density else ONE
+    # Taken out of the tuple here: that costs as much as an echo.
+    arrivals, places, row_of, share_of, place_of = part.arrival, part.at, part.signal, part.share, part.place
+    last_node, last_arrival = np.float32(part.nodes - 1), np.float32(part.arrivals - 1)
+    has_density = density.size > 0
+    for beam in range(first, last if arrivals.shape[0] > 0 else first):
+        far_m = reach_m[beam]
         if arrivals[0, beam] >= part.never or not far_m > part.near_m:
             continue
-        position, arrived = position_of(part, far_m), ZERO
-        for echo in range(part.arrival.shape[0]):
+        own = density[beam] if has_density else ONE
+        position = log_of_sum(ONE, (far_m - part.near_m) / part.scale_m) * part.position_scale
+        position = min(position, last_node)
+        column = _node(position, part.nodes)
+        beyond, arrived, at = position - np.float32(column), ZERO, beam - origin
+        count = counts[at]
+        for echo in range(arrivals.shape[0]):
             arrived -= log_of_sum(ZERO, ONE - arrivals[echo, beam])
-            row = row_before(part, position, arrived / max(own, THINNEST) if is_counted else arrived)
+            reached = arrived / max(own, THINNEST) if has_density and is_counted else arrived
+            late = log_of_sum(ZERO, reached) * part.late_scale - part.late_shift if reached > ZERO else ZERO
+            late = min(max(late, ZERO), last_arrival)
+            early = _node(late, part.arrivals)
+            share, index = late - np.float32(early), column * part.arrivals + early
+            here = _between(row_of[index], row_of[index + 1], share)
+            index += part.arrivals
+            row = _between(here, _between(row_of[index], row_of[index + 1], share), beyond)
             if not row > ZERO:
                 break
-            found = signal_at(part, row)
+            along = part.low + part.step * row
+            found = along * along * part.photon_signal if part.photon_signal > ZERO else exp_of(along)
             if not is_counted:
                 found *= own
             if found < faintest:
                 break
-            range_m[echo, beam] = range_before(part, row, position, places[echo, beam], far_m)
-            signal[echo, beam] = found
-            most = max(most, echo + 1)
-    return most
+            node = _node(row, part.signals)
+            index = node * part.nodes + column
+            before = _between(share_of[index], share_of[index + 1], beyond) * places[echo, beam]
+            before = min(max(before, ZERO), ONE)
+            v = np.sqrt(before / (ONE + np.sqrt(ONE - before))) * np.float32(part.places - 1)
+            cell = _node(v, part.places)
+            index = node * part.places + cell
+            place = min(_between(place_of[index], place_of[index + 1], v - np.float32(cell)), position)
+            grown = exp_of(place * part.stretch) - ONE
+            range_m[at, count] = min(part.near_m + part.scale_m * grown, far_m)
+            signal[at, count] = found
+            count += 1
+        counts[at] = count
