@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchweather.cli.scene_parts import add_ignored_parts
 from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
@@ -32,13 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--depth", metavar="FILE", help="of a camera's frames: depth file, or a number in metres")
     parser.add_argument("--depth-encoding", metavar="NAME", help="of a depth file that holds integers")
     parser.add_argument("--mask", type=Path, metavar="NPY", help="array (H, W), true for what does not count")
-    parser.add_argument(
-        "--ignore-parts",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="SCENE:ROW,COLUMN",
-        help='parts of a camera\'s picture that do not count, as the warning "scene changed" names them',
+    add_ignored_parts(
+        parser,
+        'parts of a camera\'s picture that do not count, as the warning "scene changed" names them',
     )
     parser.add_argument("--estimators", help="names joined by commas; default all")
     parser.add_argument("--bootstrap", type=int, default=400, help="samples of the frames; default 400")

@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 
 from torchweather.cli import gap_demo
+from torchweather.cli.scene_parts import add_ignored_parts
 from torchweather.core.exceptions import InputValueError
 
 NAME = "gap"
@@ -39,13 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         help="of the simulation; default 0. Of all that is drawn for the demo; default another each time",
     )
-    parser.add_argument(
-        "--ignore-parts",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="SCENE:ROW,COLUMN",
-        help='parts of a camera\'s picture that are no change of the scene, as the error "scene changed" names them',
+    add_ignored_parts(
+        parser,
+        'parts of a camera\'s picture that are no change of the scene, as the error "scene changed" names them',
     )
     parser.add_argument(
         "--allow-none", action="store_true", help="of the demo: hide no effect as often as any one of them"

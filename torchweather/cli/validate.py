@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from torchweather.cli.scene_parts import add_ignored_parts
 from torchweather.core.exceptions import InputValueError
 
 if TYPE_CHECKING:
@@ -43,13 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="ids joined by commas, such as lidar.window_loss, or all: the smallest strength of each that these frames "
         "would have flagged; all of them take several times as long",
     )
-    parser.add_argument(
-        "--ignore-parts",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="SCENE:ROW,COLUMN",
-        help='parts of a camera\'s picture that do not count, as the finding "scene changed" names them',
+    add_ignored_parts(
+        parser,
+        'parts of a camera\'s picture that do not count, as the finding "scene changed" names them',
     )
     parser.add_argument("--quiet", action="store_true", help="no progress, no notes")
 
