@@ -11,6 +11,14 @@ CAMERA_FRAMES = "tests/gap/sensors/camera/test_camera_frames.py"
 
 MUTANTS = (
     Mutant(
+        "compiled_sums_of_no_squares",
+        "compiled sums of a LiDAR frame hold the squares of the range's residuals",
+        "torchweather.gap.sensors.lidar.compiled_sums",
+        "row[7] += apart * apart",
+        "row[7] += apart",
+        ("tests/gap/sensors/lidar/test_lidar_frames.py::test_compiled_sums_are_those_of_torch",),
+    ),
+    Mutant(
         "ignored_parts_are_one_block",
         "a part that is ignored is the whole window of the check",
         "torchweather.gap.sensors.camera.scene_change",

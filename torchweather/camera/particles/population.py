@@ -678,10 +678,7 @@ class Population(nn.Module):
             for portion in points[row][which::sums]:
                 for part in self._parts_of(state, portion, tables):
                     marks = self._marks(state, part, tables, own_blocks)
-                    if lit:
-                        marks = replace(marks, clearness=self._lamplight(marks, state, part.sample))
-                    elif fog_per_m is not None:
-                        marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m, part.sample))
+                    marks = self._through_the_air(marks, state, part.sample, fog_per_m, lit=lit)
                     add_listed(total, faded, marks, own_depth, (height, width), own_blocks, by_columns=True)
 
         tasks = [partial(add, row, which) for row in range(b) for which in range(min(sums, len(points[row])))]
@@ -700,6 +697,16 @@ class Population(nn.Module):
 
         return by_rows(total), None if faded is None else by_rows(faded)
 
+    def _through_the_air(
+        self, marks: Marks, state: CameraState, sample: Tensor | int | None, fog_per_m: Tensor | None, *, lit: bool
+    ) -> Marks:
+        """Marks with the light that reaches the camera from them: of lamps, or through fog."""
+        if lit:
+            return replace(marks, clearness=self._lamplight(marks, state, sample))
+        if fog_per_m is not None:
+            return replace(marks, clearness=self._clearness(marks, state, fog_per_m, sample))
+        return marks
+
     def _every_depth(
         self, state: CameraState, noise: Mapping[str, Tensor], tables: AtRate, fog_per_m: Tensor | None, *, lit: bool
     ) -> tuple[Tensor, Tensor | None]:
@@ -711,10 +718,7 @@ class Population(nn.Module):
         every = self._every_point(state, noise, range(len(self.tables.listed)))
         for part in self._parts_of(state, every, tables):
             marks = self._marks(state, part, tables, None)
-            if lit:
-                marks = replace(marks, clearness=self._lamplight(marks, state, part.sample))
-            elif fog_per_m is not None:
-                marks = replace(marks, clearness=self._clearness(marks, state, fog_per_m, part.sample))
+            marks = self._through_the_air(marks, state, part.sample, fog_per_m, lit=lit)
             total, faded = add_pairs(total, faded, marks, depth, (height, width))
         shape = (1, 1, height, width)
         return total.view(shape), None if faded is None else faded.view(shape)

@@ -25,7 +25,7 @@ def named_effects(kind: str, names: Sequence[str], owner: str) -> list[TriedEffe
 
     Args:
         kind: of the study.
-        names: ids of the catalogue; ``all`` is all that the gap workflow searches for.
+        names: ids of the catalogue; ``all`` stands for those that the gap workflow searches for.
         owner: names the caller in an error.
 
     Raises:

@@ -44,7 +44,7 @@ def compiles(part: BeamParticles | SoftReturn, tensors: Iterable[Tensor | None])
 
     Args:
         part: what returns.
-        tensors: all that the echoes depend on.
+        tensors: inputs of the echoes.
     """
     if is_exporting() or not uses_compiled() or (isinstance(part, BeamParticles) and part.published):
         return False

@@ -230,7 +230,8 @@ def simulated_camera(
         ego_speed_m_per_s: of the vehicle, forward.
         airlight: as measured in the weather, linear, at the exposure of its frames; ``None`` takes that of the clear
             frame's sky, as ``BayerWeather`` finds it.
-        exposure_gain: signal in the weather over that of the clear frame for the same light, above 0.
+        exposure_gain: signal in the weather over that of the clear frame for the same light, above 0. What it raises
+            over saturation counts as saturated behind the weather, too.
         effects: of the catalogue, put into the chain.
         normal: ``(H, W, 3)`` of the surfaces, 0 or NaN where there is none; for effects that need it.
 
