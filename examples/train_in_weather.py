@@ -8,8 +8,9 @@ with this library, and with this library when what is not known is drawn as well
 tested in town, in weather of a renderer that does not use the library (benchmarks/independent_weather.py). A second net
 tells snow from objects in a LiDAR scan, beside the rule of neighbours and intensity. With ``--sensors recorded`` it is
 trained on KITTI and tested on WADS, which you give by ``--kitti`` and ``--wads``. Rows of the library's own
-simulator are named so. Writes tables, numbers and a picture. The full run takes hours; --quick three minutes; --ablate
-adds arms that lack one part of the physics each.
+simulator are named so. Writes tables, numbers and a picture. The full run takes some five hours of one core;
+--processes trains several nets side by side and --device on a graphics card; a run that was stopped goes on where it
+was. --quick takes three minutes; --ablate adds arms that lack one part of the physics each.
 """
 
 from __future__ import annotations
@@ -26,17 +27,21 @@ from typing import Any
 
 import numpy as np
 import torch
-from parts import lidar_segmenter, snow_points, snow_recordings, street_net
+from parts import lidar_segmenter, snow_points, snow_recordings
 from parts.shared import command_line, recordings
 from parts.snow_points import average_precision
-from parts.training_arms import INPUTS, cloud_arms, picture_arms
-from parts.training_data import cloud_batches, cloud_samples, picture_batches, picture_samples, relabelled
+from parts.training_arms import INPUTS
+from parts.training_data import cloud_samples, picture_samples, relabelled
 from parts.training_results import ablations, draw, gains, table
+from parts.training_runs import Clouds, Comparison, Pictures, Test, side_by_side, trainings
 
 import torchweather as tw
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-independent = importlib.import_module("independent_weather")
+independent, measure = importlib.import_module("independent_weather"), importlib.import_module("measure")
+
+Scores = dict[tuple[str, str, str], list[float]]
+"""By simulator, test and arm: one of each seed, or one alone where nothing is learned."""
 
 TRAINED_IN, TESTED_IN = "country", "town"
 FULL = {"width": 320, "seeds": 5, "train": 60, "test": 24, "steps": 1000, "cloud_train": 24, "cloud_test": 8}
@@ -62,66 +67,84 @@ SNOWS_MM_PER_H = (0.5, 1.5, 3.0)
 
 def camera_rows(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """Mean IoU of each arm in each test."""
-    height = arguments.width * 3 // 4
-    streets = {
-        place: [independent.street(seed, place, arguments.width, height) for seed in range(number)]
-        for place, number in ((TRAINED_IN, arguments.train), (TESTED_IN, arguments.test))
-    }
-    focal = independent.FOCAL_OVER_WIDTH * arguments.width
-    middle = ((arguments.width - 1) / 2, 0.47 * height)
-    camera = tw.Camera.from_intrinsics(
-        focal, focal, *middle, arguments.width, height, height_m=independent.CAMERA_HEIGHT_M
-    )
-    samples, clear = picture_samples(streets[TRAINED_IN]), picture_samples(streets[TESTED_IN])
-    classes = torch.stack([one[2] for one in clear])
-    tests: dict[tuple[str, str], torch.Tensor] = {}
-    for name, weather in TESTS.items():
-        seen = [
-            independent.in_weather(one, 1000 + seed, **weather) if weather else one.picture
-            for seed, one in enumerate(streets[TESTED_IN])
-        ]
-        tests["independent", name] = torch.from_numpy(np.stack(seen)).permute(0, 3, 1, 2).contiguous()
+    width, height = arguments.width, arguments.width * 3 // 4
+    places = [(TRAINED_IN, seed) for seed in range(arguments.train)]
+    places += [(TESTED_IN, seed) for seed in range(arguments.test)]
+    streets = side_by_side(street_of, [(place, seed, width, height) for place, seed in places], arguments.processes)
+    tested = list(enumerate(streets[arguments.train :]))
+    focal = independent.FOCAL_OVER_WIDTH * width
+    middle = ((width - 1) / 2, 0.47 * height)
+    camera = tw.Camera.from_intrinsics(focal, focal, *middle, width, height, height_m=independent.CAMERA_HEIGHT_M)
+    clear = picture_samples(streets[arguments.train :])
+    tests: dict[Test, torch.Tensor] = {}
+    jobs = [(scene, seed, weather) for weather in TESTS.values() for seed, scene in tested]
+    seen = np.stack(side_by_side(street_in_weather, jobs, arguments.processes))
+    for name, pictures in zip(TESTS, np.split(seen, len(TESTS)), strict=True):
+        tests["independent", name] = torch.from_numpy(pictures).permute(0, 3, 1, 2).contiguous()
     for name, weather in OWN.items():
         own = tw.AsBayer(tw.BayerWeather(weather, camera))
         tests["own", name] = torch.stack([own(one[0], one[1], seed=seed) for seed, one in enumerate(clear)])
-    scores: dict[tuple[str, str, str], list[float]] = {}
-    for name, arm in chosen(picture_arms(camera, arguments.ablate), arguments.arms).items():
-        began = time.process_time()
-        for seed in range(arguments.seeds):
-            batches = picture_batches(samples, arm, seed, arguments.steps)
-            net = street_net.trained(batches, arguments.steps, seed, len(independent.CLASSES))
-            for (simulator, test), seen in tests.items():
-                score = street_net.mean_iou(net, seen, classes, len(independent.CLASSES))
-                scores.setdefault((simulator, test, name), []).append(score)
-        print(f"camera, {name}: {time.process_time() - began:.0f} s of CPU", flush=True)
-    return rows_of("mean IoU of 7 classes (camera)", scores, arguments, "camera")
+    pictures, depth, classes = map(torch.stack, zip(*picture_samples(streets[: arguments.train]), strict=True))
+    comparison = Pictures(
+        samples=(pictures, depth, classes),
+        tests=tests,
+        classes=torch.stack([one[2] for one in clear]),
+        class_count=len(independent.CLASSES),
+        camera=camera.to_dict(),
+        ablate=arguments.ablate,
+        steps=arguments.steps,
+        device=arguments.device,
+    )
+    settings = {"steps": arguments.steps, "trained_in": TRAINED_IN, "tested_in": TESTED_IN}
+    settings |= {"train_scenes": arguments.train, "test_scenes": arguments.test, "width": width, "height": height}
+    return compared("mean IoU of 7 classes (camera)", comparison, {}, arguments, settings)
 
 
 def lidar_rows(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """Average precision of snow of each arm and of the rule, in each test."""
-    samples = cloud_samples([lidar_segmenter.cloud(seed) for seed in range(arguments.cloud_train)])
-    clear = cloud_samples([lidar_segmenter.cloud(10_000 + seed) for seed in range(arguments.cloud_test)])
-    tests: dict[tuple[str, str], tuple[torch.Tensor, torch.Tensor]] = {}
+    seeds = [*range(arguments.cloud_train), *(10_000 + seed for seed in range(arguments.cloud_test))]
+    samples = cloud_samples(side_by_side(lidar_segmenter.cloud, seeds, arguments.processes))
+    samples, clear = samples[: arguments.cloud_train], samples[arguments.cloud_train :]
+    tests: dict[Test, tuple[torch.Tensor, torch.Tensor]] = {}
     for rate in SNOWS_MM_PER_H:
         seen = [independent_snow(one, seed, rate) for seed, one in enumerate(clear)]
         tests["independent", f"snow {rate:g} mm/h"] = stacked(seen)
     transform = tw.LidarSnow(tw.Snow(1.5), lidar_segmenter.SENSOR)
     compose = tw.Compose({"points": transform}, inputs=INPUTS)
     tests["own", "snow 1.5 mm/h"] = stacked([relabelled(*compose.run(one, seed=k)) for k, one in enumerate(clear)])
-    scores: dict[tuple[str, str, str], list[float]] = {}
+    known: Scores = {}
     for (simulator, test), (points, classes) in tests.items():
-        scores[simulator, test, "share of snow"] = [snow_share(classes)]
-        scores[simulator, test, "DROR + intensity"] = [snow_points.of_rule(points, classes)]
-    for name, arm in chosen(cloud_arms(), arguments.arms).items():
-        began = time.process_time()
-        for seed in range(arguments.seeds):
-            batches = cloud_batches(samples, arm, seed, arguments.steps)
-            net = lidar_segmenter.trained(batches, arguments.steps, seed)
-            for (simulator, test), (points, classes) in tests.items():
-                score = snow_points.of_net(net, points, classes)
-                scores.setdefault((simulator, test, name), []).append(score)
-        print(f"LiDAR, {name}: {time.process_time() - began:.0f} s of CPU", flush=True)
-    return rows_of("average precision of snow (LiDAR)", scores, arguments, "cloud_")
+        known[simulator, test, "share of snow"] = [snow_share(classes)]
+        known[simulator, test, "DROR + intensity"] = [snow_points.of_rule(points, classes)]
+    settings = {"steps": arguments.steps}
+    settings |= {"train_scenes": arguments.cloud_train, "test_scenes": arguments.cloud_test}
+    comparison = Clouds(samples, tests, arguments.steps, arguments.device)
+    return compared("average precision of snow (LiDAR)", comparison, known, arguments, settings)
+
+
+def compared(
+    title: str, comparison: Comparison, known: Scores, arguments: argparse.Namespace, settings: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Rows of nets that are trained in each arm, behind those that are known."""
+    arms = list(chosen(comparison.arms(), arguments.arms))
+    run = {"sensor": title, "code": measure.commit(), **settings}
+    found = trainings(comparison, arms, arguments.seeds, arguments.processes, arguments.out / "scores.jsonl", run)
+    for arm, by_seed in found.items():
+        for simulator, test in by_seed[0]:
+            known[simulator, test, arm] = [scores[simulator, test] for scores in by_seed]
+    return rows_of(title, known, {"seeds": arguments.seeds, **settings})
+
+
+def street_of(job: tuple[str, int, int, int]) -> Any:
+    """A street of a place, a seed and a size."""
+    place, seed, width, height = job
+    return independent.street(seed, place, width, height)
+
+
+def street_in_weather(job: tuple[Any, int, dict[str, float]]) -> np.ndarray:
+    """Its picture in a weather of the independent renderer."""
+    scene, seed, weather = job
+    return np.asarray(independent.in_weather(scene, 1000 + seed, **weather) if weather else scene.picture)
 
 
 def recorded_rows(arguments: argparse.Namespace) -> list[dict[str, Any]]:
@@ -131,7 +154,7 @@ def recorded_rows(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     for simulator, frame in (("recorded", snow_recordings.REPORTED), ("development", snow_recordings.DEVELOPMENT)):
         points, snow = snow_recordings.snowy_frame(recordings(arguments.wads, "wads_snow"), frame)
         tests[simulator, f"WADS {frame}"] = (points, snow)
-    scores: dict[tuple[str, str, str], list[float]] = {}
+    scores: Scores = {}
     described = {}
     for test, (points, snow) in tests.items():
         scores[(*test, "share of snow")] = [float(snow.float().mean())]
@@ -145,7 +168,10 @@ def recorded_rows(arguments: argparse.Namespace) -> list[dict[str, Any]]:
             for test, (_, snow) in tests.items():
                 scores.setdefault((*test, name), []).append(average_precision(net(described[test]), snow))
         print(f"recorded, {name}: {time.process_time() - began:.0f} s of CPU", flush=True)
-    return rows_of("average precision of snow in recordings (LiDAR)", scores, arguments, "recorded_")
+    settings = {"seeds": arguments.seeds, "steps": arguments.recorded_steps, "draws": arguments.recorded_draws}
+    settings |= {"test_scenes": 1, "train_scenes": len(list(kitti_folder(arguments).glob("velodyne/*.bin")))}
+    settings |= {"trained_on": "KITTI, snow put on", "tested_on": "WADS, labelled snow"}
+    return rows_of("average precision of snow in recordings (LiDAR)", scores, settings)
 
 
 def kitti_folder(arguments: argparse.Namespace) -> Path:
@@ -177,22 +203,8 @@ def chosen(arms: dict[str, Any], names: list[str] | None) -> dict[str, Any]:
     return arms if not names else {name: arm for name, arm in arms.items() if name in names}
 
 
-def rows_of(
-    title: str, scores: dict[Any, list[float]], arguments: argparse.Namespace, prefix: str
-) -> list[dict[str, Any]]:
+def rows_of(title: str, scores: Scores, settings: dict[str, Any]) -> list[dict[str, Any]]:
     """One row a test and arm, with the settings."""
-    settings: dict[str, Any] = {"seeds": arguments.seeds}
-    if prefix == "recorded_":
-        settings |= {"steps": arguments.recorded_steps, "draws": arguments.recorded_draws, "test_scenes": 1}
-        settings |= {"train_scenes": len(list(kitti_folder(arguments).glob("velodyne/*.bin")))}
-        settings |= {"trained_on": "KITTI, snow put on", "tested_on": "WADS, labelled snow"}
-    elif prefix == "cloud_":
-        settings |= {"steps": arguments.steps}
-        settings |= {"train_scenes": arguments.cloud_train, "test_scenes": arguments.cloud_test}
-    else:
-        settings |= {"steps": arguments.steps, "trained_in": TRAINED_IN, "tested_in": TESTED_IN}
-        settings |= {"train_scenes": arguments.train, "test_scenes": arguments.test}
-        settings |= {"width": arguments.width, "height": arguments.width * 3 // 4}
     rows = [
         {"sensor": title, "simulator": simulator, "test": test, "arm": arm, "scores": found, **settings}
         for (simulator, test, arm), found in scores.items()
@@ -210,6 +222,8 @@ def main() -> None:
     for name in ("kitti", "wads"):
         parser.add_argument(f"--{name}", type=Path, help="folder with velodyne/*.bin, of the sensor recorded")
     parser.add_argument("--ablate", action="store_true", help="arms that lack one part of the physics each")
+    parser.add_argument("--processes", type=int, default=1, metavar="N", help="nets trained side by side (default: 1)")
+    parser.add_argument("--device", default="cpu", help="where nets are trained, such as cuda (default: cpu)")
     parser.add_argument("--quick", action="store_true", help="small pictures, little training, one seed")
     arguments = parser.parse_args()
     for name, number in (QUICK if arguments.quick else FULL).items():
@@ -230,7 +244,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     draw(rows, arguments.out / "train_in_weather.png")
     found = {
-        "commit": importlib.import_module("measure").commit(),
+        "commit": measure.commit(),
         "machine": platform.processor() or platform.machine(),
         "seconds": round(time.perf_counter() - began),
         "rows": [{**row, "scores": [one if math.isfinite(one) else None for one in row["scores"]]} for row in rows],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,31 +90,18 @@ class Segmenter(nn.Module):
         return self.out(torch.cat([seen, early], 1))
 
 
-def trained(batches, steps: int, seed: int) -> Segmenter:  # type: ignore[no-untyped-def]
+def trained(batches: Iterable[tuple[Tensor, Tensor]], steps: int, seed: int, device: str = "cpu") -> Segmenter:
     """A net that has learned from so many batches of points ``(B, N, 5)`` and classes ``(B, N)``."""
     torch.manual_seed(seed)
-    net = Segmenter()
+    net = Segmenter().to(device)
     optimiser = torch.optim.AdamW(net.parameters(), lr=4e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 8e-3, total_steps=steps)
-    weight = torch.tensor([1.0, 2.0, 6.0, 1.0, 2.0, 1.0])  # rare ones count more
+    weight = torch.tensor([1.0, 2.0, 6.0, 1.0, 2.0, 1.0], device=device)  # rare ones count more
     for points, classes in batches:
-        wanted = classes.reshape(-1, ROWS, COLUMNS)
-        loss = nn.functional.cross_entropy(net(picture_of(points)), wanted, weight, ignore_index=NONE)
+        wanted = classes.reshape(-1, ROWS, COLUMNS).to(device)
+        loss = nn.functional.cross_entropy(net(picture_of(points.to(device))), wanted, weight, ignore_index=NONE)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         schedule.step()
     return net.eval()
-
-
-@torch.no_grad()
-def mean_iou(net: Segmenter, points: Tensor, classes: Tensor) -> float:
-    """Mean intersection over union of the classes of objects, over all returns ``(B, N)``; a drop or a flake that is
-    taken for an object counts as wrong."""
-    found = net(picture_of(points)).argmax(1).flatten()
-    wanted, there = classes.flatten(), classes.flatten() != NONE
-    shares = []
-    for one in range(WEATHER):
-        said, true = (found == one) & there, wanted == one
-        shares.append(float((said & true).sum() / (said | true).sum().clamp_min(1)))
-    return float(np.mean(shares))

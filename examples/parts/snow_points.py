@@ -20,7 +20,8 @@ def average_precision(score: Tensor, is_snow: Tensor) -> float:
 @torch.no_grad()
 def of_net(net: Any, clouds: Tensor, classes: Tensor) -> float:
     """Of a net's probability of weather, over all returns."""
-    score = net(picture_of(clouds)).softmax(1)[:, WEATHER].flatten()
+    device = next(net.parameters()).device
+    score = net(picture_of(clouds).to(device)).softmax(1)[:, WEATHER].flatten().cpu()
     there = classes.flatten() != NONE
     return average_precision(score[there], classes.flatten()[there] == WEATHER)
 

@@ -27,17 +27,19 @@ class StreetNet(nn.Module):
         return self.layers(pictures / 255 - 0.5)
 
 
-def trained(batches: Iterable[tuple[Tensor, Tensor]], steps: int, seed: int, classes: int) -> StreetNet:
+def trained(
+    batches: Iterable[tuple[Tensor, Tensor]], steps: int, seed: int, classes: int, device: str = "cpu"
+) -> StreetNet:
     """A net that has learned from so many batches of pictures ``(B, 3, H, W)`` and classes ``(B, H, W)``."""
     torch.manual_seed(seed)
-    net = StreetNet(classes)
+    net = StreetNet(classes).to(device)
     optimiser = torch.optim.AdamW(net.parameters(), lr=4e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 8e-3, total_steps=steps)
     for pictures, wanted in batches:
         if torch.rand(()) < 0.5:
             pictures, wanted = pictures.flip(-1), wanted.flip(-1)
         small = wanted[:, STRIDE // 2 :: STRIDE, STRIDE // 2 :: STRIDE]
-        loss = nn.functional.cross_entropy(net(pictures), small)
+        loss = nn.functional.cross_entropy(net(pictures.to(device)), small.to(device))
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -46,12 +48,13 @@ def trained(batches: Iterable[tuple[Tensor, Tensor]], steps: int, seed: int, cla
 
 
 @torch.no_grad()
-def mean_iou(net: StreetNet, pictures: Tensor, classes: Tensor, count: int) -> float:
+def mean_iou(net: StreetNet, pictures: Tensor, classes: Tensor) -> float:
     """Mean intersection over union of the classes that occur, over all pixels of all pictures."""
-    small = torch.cat([net(one[None]) for one in pictures])
+    device = next(net.parameters()).device
+    small = torch.cat([net(one[None].to(device)).cpu() for one in pictures])
     found = nn.functional.interpolate(small, classes.shape[-2:], mode="bilinear").argmax(1)
     shares = []
-    for one in range(count):
+    for one in range(small.shape[1]):
         said, true = found == one, classes == one
         if true.any():
             shares.append(float((said & true).sum() / (said | true).sum()))

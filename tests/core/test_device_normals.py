@@ -24,3 +24,12 @@ def test_keys_of_a_draw_are_those_of_its_streams() -> None:
     keys = draw_variates(seeds, "veil", [haze], sizes, keyed=True)["veil.haze"]
     drawn = draw_variates(seeds, "veil", [haze], sizes)["veil.haze"]
     np.testing.assert_array_equal(normals_by_torch(torch.from_numpy(keys), (2, 9, 13)).numpy(), drawn)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_device_has_the_same_bit_by_bit() -> None:
+    keys = torch.tensor([[0, 0], [7, -5], [-(2**63), 2**62 + 1]])
+    there = normals_by_torch(keys.cuda(), (2, 61, 90))
+    assert there.is_cuda
+    np.testing.assert_array_equal(there.cpu().numpy(), normals_by_torch(keys, (2, 61, 90)).numpy())
