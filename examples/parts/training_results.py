@@ -70,7 +70,6 @@ def draw(rows: Rows, path: Path) -> None:
         names = [f"{test}{SUFFIX.get(simulator, '')}" for simulator, test in tests]
         axis.set_xticks(range(len(tests)), names, rotation=40, ha="right")
         axis.set_title(sensor, fontsize="medium")
-        axis.set_ylim(0, 1)
         axis.grid(alpha=0.3)
         axis.legend(fontsize="small")
     figure.savefig(path, dpi=110)

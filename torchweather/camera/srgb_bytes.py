@@ -21,7 +21,8 @@ __all__ = ["byte_limits", "bytes_of_light", "light_of_bytes"]
 LEVELS = 256
 # Ranges of equal width, each of which holds at most one limit between two levels: those are 3.0e-4 apart or more.
 RANGES = 4096
-SAMPLES_AT_ONCE = 1 << 16
+SAMPLES_AT_ONCE = 1 << 16  # whose arrays stay in the cache of a processor
+SAMPLES_ON_DEVICE = 1 << 26
 
 
 @lru_cache(maxsize=8)
@@ -52,6 +53,11 @@ def _compiled(image: Tensor) -> bool:
     return image.device.type == "cpu" and not torch.compiler.is_compiling() and uses_compiled()
 
 
+def _portions(flat: Tensor) -> list[slice]:
+    size = SAMPLES_AT_ONCE if flat.device.type == "cpu" else SAMPLES_ON_DEVICE
+    return [slice(start, start + size) for start in range(0, flat.numel(), size)]
+
+
 def light_of_bytes(image: Tensor) -> Tensor:
     """Linear light of sRGB levels, float32.
 
@@ -66,8 +72,7 @@ def light_of_bytes(image: Tensor) -> Tensor:
 
         look_up(found.numpy(), flat.numpy(), table.numpy())
         return out
-    for start in range(0, flat.numel(), SAMPLES_AT_ONCE):
-        some = slice(start, start + SAMPLES_AT_ONCE)
+    for some in _portions(flat):
         torch.index_select(table, 0, flat[some].int(), out=found[some])
     return out
 
@@ -86,10 +91,9 @@ def bytes_of_light(linear: Tensor) -> Tensor:
 
         find_levels(found.numpy(), flat.numpy(), level.numpy(), begins.numpy())
         return out
-    for start in range(0, flat.numel(), SAMPLES_AT_ONCE):
-        some = flat[start : start + SAMPLES_AT_ONCE]
+    for part in _portions(flat):
+        some, seen = flat[part], found[part]
         place = (some * RANGES).clamp_(0.0, RANGES).int()
-        seen = found[start : start + SAMPLES_AT_ONCE]
         torch.index_select(level, 0, place, out=seen)
         seen += some >= begins.index_select(0, place)
     return out

@@ -18,6 +18,9 @@ __all__ = ["by_rows", "is_exporting", "rows_of"]
 # Pixels in a band: 0.5 MB of float32.
 BAND_PIXELS = 1 << 17
 
+# On another device than the processor, where the number of operations counts and no cache is to be kept: 128 MB.
+DEVICE_BAND_PIXELS = 1 << 25
+
 
 def is_exporting() -> bool:
     """True while a graph is traced: then nothing may depend on values."""
@@ -47,11 +50,14 @@ def by_rows(
         like: gives dtype and device of the results; where gradients flow, the image is one band.
         out: where to write the first result; ``None`` allocates.
         apart: run the bands side by side on threads of their own, for functions of very many operations.
-        band_pixels: of a band, all samples and planes together; ``None`` is ``BAND_PIXELS``.
+        band_pixels: of a band, all samples and planes together; ``None`` is ``BAND_PIXELS``. On the processor alone:
+            elsewhere a band has ``DEVICE_BAND_PIXELS``.
     """
     b, c, height, width = shape
     if is_exporting() or (torch.is_grad_enabled() and like.requires_grad):
         return tuple(function(0, height, None))
+    if like.device.type != "cpu":
+        band_pixels = DEVICE_BAND_PIXELS
     rows = max(2, (BAND_PIXELS if band_pixels is None else band_pixels) // max(1, b * c * width) // 2 * 2)
     bands = [(first, min(first + rows, height)) for first in range(0, height, rows)]
     results = [] if out is None else [out.view(tuple(shape))]

@@ -286,6 +286,14 @@ MUTANTS = (
         ("tests/core/test_device_normals.py::test_they_are_those_of_numpy_bit_by_bit",),
     ),
     Mutant(
+        "pairs_behind_the_first_scene",
+        "on a device, particles of a sample are hidden by the surfaces of its own scene",
+        "torchweather.camera.particles.population",
+        "own_depth = flat[row if len(flat) > 1 else 0]",
+        "own_depth = flat[0]",
+        ("tests/camera/particles/test_device_path.py::test_samples_of_a_batch_have_their_own_rates_and_scenes",),
+    ),
+    Mutant(
         "compiled_noise_of_the_first_shell",
         "each shell of the haze takes numbers of its own from the stream",
         "torchweather.camera.particles.compiled_haze",

@@ -38,6 +38,7 @@ FLOOR = 1e-30  # keeps logarithms finite where nothing falls
 ROUNDING = 1 + 1e-4  # of a highest level: more than float32 can move it
 SUMS = 4  # partial sums of the optical depth, filled side by side
 POINTS_AT_ONCE = 1 << 16  # points of all shells whose arrays stay in the cache
+POINTS_ON_DEVICE = 1 << 20  # on a GPU, which wants few operations
 # By which a second use of the draw is displaced in column, row and depth: powers of the root of x^4 = x + 1.
 DISPLACED = (0.8191725134, 0.6710436067, 0.5497004779)
 SLOWEST = 0.1  # of a rolling shutter relative to a particle, in rows: beyond that its mark grows no longer
@@ -420,9 +421,10 @@ class Population(nn.Module):
         shell = torch.repeat_interleave(torch.tensor(list(shells), device=device), counts)
         every = torch.cat(kept) if kept else torch.zeros(0, COLUMNS, device=device)
         sample = None if state.batch == 1 else row
+        portion = POINTS_AT_ONCE if device.type == "cpu" else POINTS_ON_DEVICE
         return [
-            _Points(every[start : start + POINTS_AT_ONCE], sample, shell[start : start + POINTS_AT_ONCE])
-            for start in range(0, len(every), POINTS_AT_ONCE)
+            _Points(every[start : start + portion], sample, shell[start : start + portion])
+            for start in range(0, len(every), portion)
         ]
 
     def check_reach(self, points: Tensor, number: int, highest: float, sizes: Mapping[str, int]) -> None:
@@ -657,6 +659,8 @@ class Population(nn.Module):
         """
         if is_exporting():
             return self._every_depth(state, noise, tables, fog_per_m, lit=lit)
+        if state.image.signal.device.type != "cpu":
+            return self._depth_by_pairs(state, noise, tables, fog_per_m, lit=lit)
         b, _, height, width = state.image.signal.shape
         depth_m = state.scene.depth_m.float()
         blocks, by_columns = DepthBlocks.of(depth_m), depth_m.transpose(-1, -2).flatten(1)
@@ -696,6 +700,28 @@ class Population(nn.Module):
             return sum_by_columns.view(b, 1, width, height).transpose(-1, -2).contiguous()
 
         return by_rows(total), None if faded is None else by_rows(faded)
+
+    def _depth_by_pairs(
+        self, state: CameraState, noise: Mapping[str, Tensor], tables: AtRate, fog_per_m: Tensor | None, *, lit: bool
+    ) -> tuple[Tensor, Tensor | None]:
+        """``listed_depth`` by one list of (mark, pixel) pairs a portion: the few operations that a GPU waits for."""
+        b, _, height, width = state.image.signal.shape
+        depth_m = state.scene.depth_m.float()
+        blocks, flat = DepthBlocks.of(depth_m), depth_m.flatten(1)
+        totals, fadeds = [], []
+        for row in range(b):
+            own_depth = flat[row if len(flat) > 1 else 0]
+            total = torch.zeros_like(own_depth)
+            faded = torch.zeros_like(total) if fog_per_m is not None or lit else None
+            for portion in self._points_of(state, noise, tables, row, range(len(self.tables.listed))):
+                for part in self._parts_of(state, portion, tables):
+                    marks = self._marks(state, part, tables, blocks.of_sample(row))
+                    marks = self._through_the_air(marks, state, part.sample, fog_per_m, lit=lit)
+                    total, faded = add_pairs(total, faded, marks, own_depth, (height, width))
+            totals.append(total)
+            fadeds += [] if faded is None else [faded]
+        shape = (b, 1, height, width)
+        return torch.stack(totals).view(shape), torch.stack(fadeds).view(shape) if fadeds else None
 
     def _through_the_air(
         self, marks: Marks, state: CameraState, sample: Tensor | int | None, fog_per_m: Tensor | None, *, lit: bool
