@@ -139,7 +139,8 @@ def test_public_functions_name_the_argument(call: Any) -> None:
 def test_every_head_names_parameters_of_its_function() -> None:
     """A parameter that was renamed is renamed in its head, too, and has its value there."""
     for file in Path(inspect.getfile(torchweather)).parent.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        text = file.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text if "check_arguments(" in text else "")):
             if not isinstance(node, ast.Call) or ast.unparse(node.func) != "check_arguments":
                 continue
             head = node.args[0]
