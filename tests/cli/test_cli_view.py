@@ -181,6 +181,9 @@ class FakeRerun(types.ModuleType):
     def log(self, name: str, points: Any, static: bool) -> None:
         self.logged[name] = points
 
+    def disconnect(self) -> None:
+        self.calls.append(("disconnect", None))
+
 
 def test_rerun_gets_both_clouds_and_is_not_started_unasked(
     run: Any, opened: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -190,7 +193,7 @@ def test_rerun_gets_both_clouds_and_is_not_started_unasked(
     write_points(tmp_path / "a.bin", cloud())
     options = ("view", tmp_path / "a.bin", *SNOW, *HDL, "-o", tmp_path / "page.html", "--rerun", "--json")
     found = json.loads(run(*options)[1])
-    assert module.calls == [("init", False), ("save", tmp_path / "page.rrd")]
+    assert module.calls == [("init", False), ("save", tmp_path / "page.rrd"), ("disconnect", None)]
     assert found["rerun"] == str(tmp_path / "page.rrd")
     positions, colours = module.logged["weather"]
     assert len(module.logged["clear"][0]) == found["points"]
@@ -199,7 +202,7 @@ def test_rerun_gets_both_clouds_and_is_not_started_unasked(
     assert orange == found["particles"]
     assert int(PointKind.PARTICLE) == 1  # the order of the colours
     assert json.loads(run(*options, "--open")[1])["rerun"] == "viewer"
-    assert module.calls[2:] == [("init", True)]
+    assert module.calls[3:] == [("init", True)]
 
 
 def test_rerun_without_the_package_names_the_extra(run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

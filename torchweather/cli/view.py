@@ -238,4 +238,6 @@ def _logged(rerun: Any, args: argparse.Namespace, points: Any, result: LidarResu
     for name, cloud in zip(("clear", "weather"), view_points(points, result, sensor), strict=True):
         shades = [colours[kind] for kind in cloud.kind.tolist()]
         rerun.log(name, rerun.Points3D(cloud.xyz_m.numpy(), colors=shades), static=True)
+    if not args.open:
+        rerun.disconnect()  # else the file is complete only when the process ends
     return "viewer" if args.open else str(target)
