@@ -33,9 +33,9 @@ def targets(words: str) -> list[str]:
 def test_what_a_page_installs_is_in_the_clone(page: Path) -> None:
     for words in INSTALL.findall(page.read_text(encoding="utf-8")):
         for target in targets(words):
-            folder, _, extra = target.partition("[")
+            folder, _, named = target.partition("[")
             assert target in OTHERS or (ROOT / folder).is_dir(), f"pip install {words}"
-            assert not extra or extra.rstrip("]") in EXTRAS, f"pip install {words}"
+            assert not named or set(named.rstrip("]").split(",")) <= set(EXTRAS), f"pip install {words}"
 
 
 def test_a_hint_on_an_extra_names_the_clone() -> None:
