@@ -1,4 +1,4 @@
-"""The language of pages, docstrings and help, as far as it can be counted: sentences, and phrases of a translation.
+"""The language of pages, docstrings, help and messages, as far as it can be counted: sentences and phrases.
 
 A page that is still above a bar is listed with its figures. They may only fall. A page that meets the bars leaves
 the list.
@@ -125,7 +125,7 @@ not = counted
     assert language_of("It is held against a rest.\n") == Language(6.0, 6, 2)
 
 
-FIRST_LINE_WORDS = 25  # of the first sentence of a docstring, and of each sentence of a help text
+FIRST_LINE_WORDS = 25  # of the first sentence of a docstring, and of each sentence of a help text or message
 QUESTION = re.compile(r"(?:What|Whether|By how|How|Why|Which)\b", re.IGNORECASE)
 SPEAKS = re.compile(r"\b(?:says?|knows?|tells?|wants?)\b")  # what software does not do
 
@@ -178,16 +178,70 @@ def test_help_of_the_command_line_is_short_and_plain() -> None:
     assert not wrong
 
 
-def test_errors_use_no_phrase_of_the_list() -> None:
-    wrong = []
+def text_of(node: ast.AST) -> str:
+    """The text of a literal, with one word for each value in it; empty for anything else."""
+    if isinstance(node, ast.JoinedStr):
+        return "".join(map(text_of, node.values))
+    if isinstance(node, ast.FormattedValue):
+        return "X"
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        both = text_of(node.left), text_of(node.right)
+        return " ".join(text or "X" for text in both) if any(both) else ""
+    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
+
+
+def texts_of(node: ast.AST) -> Iterator[str]:
+    """Texts of an expression, each whole."""
+    if text := text_of(node):
+        yield text
+    else:
+        for part in ast.iter_child_nodes(node):
+            yield from texts_of(part)
+
+
+SAYS_SO = ("Error", "Warning", "Exit")  # ends of classes that are raised or given to a warning
+
+
+def messages(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Texts of errors and warnings by their line, with those between which an expression chooses."""
+    for call in ast.walk(tree):
+        if isinstance(call, ast.Call):
+            name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+            if name.endswith(SAYS_SO) or name in ("warn", "error"):
+                for argument in call.args:
+                    yield from ((call.lineno, text) for text in texts_of(argument) if len(text.split()) > 2)
+
+
+def test_messages_are_short_and_plain() -> None:
+    wrong, counts = [], []
     for path in sorted((ROOT / "torchweather").rglob("*.py")):
         source = path.read_text(encoding="utf-8")
-        if not PHRASES.search(" ".join(re.sub(r'"\s+f?"', "", source).split())):
-            continue  # parsing all files takes seconds
-        for raised in (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Raise)):
-            texts = [n.value for n in ast.walk(raised) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
-            wrong += [(path.name, raised.lineno, text) for text in texts if PHRASES.search(text)]
+        if re.search("|".join((*SAYS_SO, r"warn\(", r"error\(")), source):
+            for line, text in messages(ast.parse(source)):
+                for sentence in re.split(r"(?<=[.!?;])\s+", " ".join(text.split())):
+                    counts.append(words(sentence))
+                    wrong += [(path.name, line, faults(sentence), sentence)] if faults(sentence) else []
     assert not wrong
+    assert len(counts) > 3000
+    assert sum(counts) / len(counts) < AVERAGE_WORDS
+
+
+def test_messages_are_found_in_a_source() -> None:
+    source = """
+def check(x, name):
+    if x:
+        raise TorchweatherError(f"{name}: wanted a thing {x}; " "got none.")
+    warnings.warn("A wordy text here." + more(x), TorchweatherWarning)
+    raise InputValueError("too long a text" if x else f"too short a {x}") from None
+"""
+    found = sorted(messages(ast.parse(source)))
+    assert [line for line, _ in found] == [4, 5, 6, 6]
+    assert [text for _, text in found] == [
+        "X: wanted a thing X; got none.",
+        "A wordy text here. X",
+        "too long a text",
+        "too short a X",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -413,11 +413,11 @@ def test_patches_beyond_reason_are_refused(given: dict[str, float]) -> None:
             kind(intensity, **given)
 
 
-def test_what_knows_no_patches_says_so() -> None:
+def test_patches_are_refused_where_there_are_none() -> None:
     patchy = Rain(20, patch_log_std=0.3)
-    with pytest.raises(ValueError, match="knows no patches"):
+    with pytest.raises(ValueError, match="has no patches"):
         LidarRain(patchy, LIDAR, variant="d3_4")
-    with pytest.raises(ValueError, match="knows no patches"):
+    with pytest.raises(ValueError, match="expected weather without patches"):
         FmcwRadar(Radar.preset("awr1843-like"), patchy)
     with pytest.raises(ValueError, match="air"):
         LidarRain(patchy, LIDAR).expected(torch.tensor([[10.0, 0.0, 0.0, 0.3]]))

@@ -88,7 +88,7 @@ def test_depths_that_are_none_are_refused(
 
 def test_without_any_depth_the_message_says_where_to_give_it() -> None:
     with pytest.raises(
-        ValueError, match=r"BayerFog: no depth: give forward\(bayer, depth\) .* or the constructor a source"
+        ValueError, match=r"BayerFog: no depth. Give forward\(bayer, depth\) .* or the constructor a source"
     ):
         FOG(frame())
 

@@ -431,7 +431,7 @@ def test_radar_detections(scored: Any, tmp_path: Path) -> None:
         (["{cloud}", "{cloud}", "--region", "x=0:9,x=1:2"], "--region must be like x=0:60"),
         (["{cloud}", "{cloud}", "--region", "x=a:9"], "--region must be like x=0:60"),
         (["{cloud}", "{cloud}", "--region", "x=9:1"], "x_m must be (lowest, highest) in m; got (9.0, 1.0)"),
-        (["{cloud}", "{fewer}", "--rmse", "index"], "wants as many rows as {cloud} has, 60; got 50"),
+        (["{cloud}", "{fewer}", "--rmse", "index"], "expected as many rows as {cloud} has, 60; got 50"),
         (["{clear}", "{foggy}", "--sensor", "sonar"], "camera, lidar or radar"),
         (["{clear}", "{foggy}", "--sensor", "camera:lucid-titron"], "Did you mean 'lucid-triton'"),
         (["{clear}", "{foggy}", "--sensor", "lidar"], "wanted point clouds"),

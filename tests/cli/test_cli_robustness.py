@@ -227,7 +227,7 @@ def drawn_weather(folder: Path, command: list[str]) -> list[str]:
 
 WRONG: dict[str, tuple[Callable[[Path, list[str]], list[str]], str]] = {
     "decoder": (with_declaration(decoder="boxen"), "decoder must be one of boxes, yolov8"),
-    "input": (with_declaration(input={"name": "picture"}), "the declaration says input 'picture'"),
+    "input": (with_declaration(input={"name": "picture"}), "the declaration names input 'picture'"),
     "empty folder": (emptied("images"), "no images; wanted"),
     "no truth": (emptied("annotations.json"), "expected JSON with ground truth, COCO's"),
     "truth of another frame": (renamed_frame, "no ground truth for x"),

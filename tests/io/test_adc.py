@@ -226,7 +226,7 @@ def test_a_header_that_promises_a_hundred_gigabytes_is_refused_at_once(tmp_path:
             file, {"shape": (10**4, 10**3, 10**3), "fortran_order": False, "descr": "<c8"}
         )
         file.write(bytes(100))
-    with pytest.raises(TorchweatherError, match=r"a\.npy: array .* wants 80000000000 bytes"):
+    with pytest.raises(TorchweatherError, match=r"a\.npy: array .* needs 80000000000 bytes"):
         read_adc(tmp_path / "a.npy")
 
 

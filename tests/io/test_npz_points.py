@@ -57,7 +57,7 @@ def header(shape: tuple[int, ...], dtype: str = "<f4") -> bytes:
 
 def test_an_array_that_promises_a_hundred_gigabytes_is_refused_at_once(tmp_path: Path) -> None:
     source = archive(tmp_path / "a.npz", points=header((10**10, 4)) + bytes(100))
-    with pytest.raises(TorchweatherError, match=r"a\.npz: array points .* wants 160000000000 bytes"):
+    with pytest.raises(TorchweatherError, match=r"a\.npz: array points .* needs 160000000000 bytes"):
         read_points(source)
     with pytest.raises(TorchweatherError, match="cannot"):
         read_points(archive(tmp_path / "a.npz", points=header((2**40, 2**40)) + bytes(100)))

@@ -316,6 +316,6 @@ def test_a_viewpoint_may_be_ignored_and_is_kept(tmp_path: Path) -> None:
 
 def test_a_viewpoint_of_points_that_are_in_the_sensors_frame_already_is_refused(tmp_path: Path) -> None:
     source = moved(tmp_path / "a.pcd", "1000 2000 1.7 1 0 0 0", [[10, 5, -1.7, 50], [30, -4, 0, 50]])
-    with pytest.raises(TorchweatherError, match=r"VIEWPOINT says.*\(1000, 2000, 1\.7\) m.*viewpoint='ignore'"):
+    with pytest.raises(TorchweatherError, match=r"VIEWPOINT puts.*\(1000, 2000, 1\.7\) m.*viewpoint='ignore'"):
         read_points(source)
     assert read_points(source, viewpoint="ignore").points[0, 0] == 10

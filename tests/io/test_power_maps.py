@@ -209,7 +209,11 @@ def test_a_map_of_no_file_is_written_with_its_axes(tmp_path: Path) -> None:
     [
         (np.ones((4, 5), np.float32), "scale: db\n", "names of 2 dimensions, sizes 4 x 5; got none"),
         (np.ones((4, 5), np.float32), f"dims: [range, azimuth]\nscale: db\n{RANGES}", "5 cells of azimuth have no"),
-        (np.ones((4,), np.float32), f"dims: [range]\n{RANGES}", "expected a scale; whether its numbers are"),
+        (
+            np.ones((4,), np.float32),
+            f"dims: [range]\n{RANGES}",
+            "expected a scale; the file does not state if its numbers are",
+        ),
         (np.ones((4,), np.float32), "dims: [range]\nscale: db\nrange_m: [1, 2]\n", "expected 4 values of range_m"),
         (np.ones((4,), np.float32), "dims: [range]\nscale: db\nrange_m: {first: 1}\n", "first and step"),
         (np.ones((4,), np.float32), "dims: [distance]\nscale: db\n", "dims must be one of range"),

@@ -89,7 +89,7 @@ def test_spreadsheets_mark_and_line_ends_are_read(tmp_path: Path) -> None:
         (b"a,b\n1,2\n3\n", r"line 3: wanted 2 cells \(a, b\); got 1"),
         (b"a,b\n1,2,3\n", "line 2: wanted 2 cells"),
         (b"a,a\n1,2\n", "a stands twice"),
-        (b"a,\n1,2\n", "every column wants a name"),
+        (b"a,\n1,2\n", "every column needs a name"),
         (b"a;b\n1;2\n", "wanted commas"),
         (b"a\tb\n1\t2\n", "wanted commas"),
         ("a,b\n1,2\n".encode("utf-16"), "UTF-8"),

@@ -384,5 +384,5 @@ def test_fog_above_200_ghz_is_refused_with_the_range() -> None:
 
 
 def test_the_published_variant_says_all_models() -> None:
-    with pytest.raises(ValueError, match=r"says all three models; got dsd_mie besides"):
+    with pytest.raises(ValueError, match=r"sets all three models; got dsd_mie besides"):
         RadarAttenuation(Rain(5.0), SENSOR, rain_model="dsd_mie", variant="d3_4")

@@ -628,7 +628,7 @@ class BayerWeather(WeatherTransform):
         if depth is None:
             if self.depth_source is None:
                 raise InputValueError(
-                    f"{type(self).__name__}: no depth: give forward(bayer, depth) a map (..., 1, H, W) in metres, or "
+                    f"{type(self).__name__}: no depth. Give forward(bayer, depth) a map (..., 1, H, W) in metres, or "
                     "the constructor a source: depth=30.0, depth=FlatGround(), a map or a function of the image."
                 )
             dtype = torch.float64 if image.dtype == torch.float64 else torch.float32

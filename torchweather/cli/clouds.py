@@ -228,7 +228,7 @@ def add_complete_scan(group: argparse._ArgumentGroup) -> None:
 def complete_scan_of(args: argparse.Namespace) -> bool | str:
     """``complete_scan`` of the transform, from the arguments."""
     if args.sky_only and not args.complete_scan:
-        raise InputValueError("--sky-only says which beams --complete-scan adds; give --complete-scan too.")
+        raise InputValueError("--sky-only selects the beams that --complete-scan adds; give --complete-scan too.")
     return "sky" if args.sky_only else bool(args.complete_scan)
 
 

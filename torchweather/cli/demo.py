@@ -77,7 +77,7 @@ def _gathered(args: argparse.Namespace) -> list[Path]:
     frames = gathered(args.inputs)
     preset_named(args.sensor, "camera", "demo: --sensor must be a camera")
     if not frames and args.depth is not None:
-        raise InputValueError("demo: --depth belongs to frames; the embedded scene knows its depth.")
+        raise InputValueError("demo: --depth belongs to frames; the embedded scene has its own.")
     for name in ("lidar", "radar"):
         if frames and getattr(args, name) is not None:
             raise InputValueError(f"demo: --{name} belongs to the embedded scene; frames show no point cloud.")

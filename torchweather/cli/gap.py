@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     from torchweather.report.gap_words import verdict_sentence
 
     if args.allow_none:
-        raise InputValueError("gap: --allow-none belongs to the demo; what a study lacks is not drawn.")
+        raise InputValueError("gap: --allow-none belongs to the demo; it has no effect on a study. Leave it out.")
     effects = None if args.effects is None else [name.strip() for name in args.effects.split(",") if name.strip()]
     if effects is not None and not effects:
         raise InputValueError("gap: --effects must name an effect or more, such as lidar.window_loss; got none.")

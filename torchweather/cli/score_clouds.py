@@ -53,7 +53,7 @@ class CloudScores:
         clear, worse = self._points(reference), self._points(distorted)
         if "rmse" in self.names and self.correspondence == "index" and len(clear) != len(worse):
             raise TorchweatherError(
-                f"{distorted}: --rmse index pairs row i with row i and wants as many rows as {reference} has, "
+                f"{distorted}: --rmse index pairs row i with row i; expected as many rows as {reference} has, "
                 f"{len(clear)}; got {len(worse)}. Keep lost points as rows (apply --lost zero), or take --rmse nearest."
             )
         found = cloud_scores(

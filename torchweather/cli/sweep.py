@@ -187,7 +187,7 @@ def _subjects(args: argparse.Namespace, kind: str, preset: str) -> tuple[list[Su
     scenes = [text for text in inputs if text.startswith(SCENE)]
     files = [Path(text) for text in inputs if not text.startswith(SCENE)]
     if scenes and args.depth is not None:
-        raise InputValueError("sweep: --depth belongs to frames of one's own; an embedded scene knows its depth.")
+        raise InputValueError("sweep: --depth belongs to frames of one's own; an embedded scene has its own.")
     if args.size is not None and files:
         raise InputValueError("sweep: --size belongs to embedded scenes; files keep the size they have.")
     make = sweep_inputs.MAKERS[kind](args, named, notes)

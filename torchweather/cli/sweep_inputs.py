@@ -149,7 +149,7 @@ def _refuse_guess(source: DepthSource, file: Path, args: argparse.Namespace) -> 
     """Raise where the depth is guessed and that was not allowed."""
     if source.confidence == GUESSED and not getattr(args, "allow_guessed_depth", False):
         raise TorchweatherError(
-            f"sweep: the depth of {file} is guessed, not measured; the numbers would tell about the guess. Give "
+            f"sweep: the depth of {file} is guessed, not measured; the scores would be those of the guess. Give "
             '--depth FILE or DIR, or --allow-guessed-depth: the results are then headed "depth guessed".'
         )
 

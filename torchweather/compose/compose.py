@@ -145,8 +145,8 @@ class Compose(nn.Module):
         check_between("p", p, 0.0, 1.0, owner=self)
         if (seed is not None) and sample_key is None:
             raise InputValueError(
-                "Compose: seed needs sample_key, the key of what tells samples apart (a token, a file name, a number). "
-                "Without one, give a seed at each call, or wrap the data set: WeatherDataset(dataset, compose, seed)."
+                "Compose: seed needs sample_key, the key of what differs between samples (a token, a file name, a "
+                "number). Or give a seed at each call, or wrap the data set: WeatherDataset(dataset, compose, seed)."
             )
         self.specs = {key: _spec(key, transform) for key, transform in transforms.items()}
         if not self.specs:

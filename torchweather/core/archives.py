@@ -139,7 +139,7 @@ def _array(file: IO[bytes], available_bytes: int, source: object, name: str) -> 
     promised = int(np.prod(np.array(shape, dtype=object), initial=1)) * dtype.itemsize
     if promised > available_bytes:
         raise TorchweatherError(
-            f"{source}: array{name} {shape} wants {promised} bytes; the file cannot hold the wanted numbers in "
+            f"{source}: array{name} {shape} needs {promised} bytes; the file cannot hold them in "
             f"{available_bytes}. It is truncated or its header is wrong."
         )
     file.seek(0)

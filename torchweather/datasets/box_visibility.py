@@ -90,8 +90,8 @@ def box_visibility(
         )
     if (source is None and results != rows) or (source is not None and source.shape != (results,)):
         raise InputValueError(
-            f"box_visibility: source must say which of the {rows} rows each of the {results} result points comes from; "
-            f"got {'None' if source is None else tuple(source.shape)}."
+            f"box_visibility: source must give the row, of {rows}, from which each of the {results} result points "
+            f"comes; got {'None' if source is None else tuple(source.shape)}."
         )
     if source is not None and results and not bool(((source >= -1) & (source < rows)).all()):
         raise InputValueError(f"box_visibility: source must lie in -1..{rows - 1}.")

@@ -73,8 +73,8 @@ def read_kitti_boxes(
         if words[0].lstrip("-").isdecimal() and len(words) > 2 and words[1].lstrip("-").isdecimal():
             if frame is None:
                 raise TorchweatherError(
-                    f"{source}: line {number}: labels of the tracking kit, all frames of a sequence in one file; say "
-                    "which with frame=0, 1, ..."
+                    f"{source}: line {number}: labels of the tracking kit, all frames of a sequence in one file. Pass "
+                    "the frame: frame=0, 1, ..."
                 )
             if int(words[0]) != frame:
                 continue

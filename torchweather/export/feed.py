@@ -164,8 +164,8 @@ def _read_metadata(said: Mapping[str, str]) -> _Said:
         from torchweather.core.exceptions import TorchweatherError
 
         raise TorchweatherError(
-            "draw_feed: wanted a graph written by torchweather.export.to_onnx; this one does not say which noise it "
-            f"needs (metadata {METADATA_KEY!r})."
+            "draw_feed: wanted a graph written by torchweather.export.to_onnx; this one lacks the list of its noise "
+            f"(metadata {METADATA_KEY!r})."
         )
     entries: Sequence[Mapping[str, Any]] = json.loads(text)
     variates = {entry["input"]: Variate(**{k: v for k, v in entry.items() if k != "input"}) for entry in entries}

@@ -42,13 +42,14 @@ def traceable_lidar(transform: LidarWeather, points: int, columns: int, directio
     """
     if transform.lost == "drop":
         raise InputValueError(
-            f'to_onnx: {type(transform).__name__}(lost="drop") gives as many points as are left, which no graph can '
-            'say beforehand. Export lost="zero" or "nan" and leave out the rows whose kind is 2.'
+            f'to_onnx: {type(transform).__name__}(lost="drop") gives as many points as are left, a number that no '
+            'graph can have as a size. Export lost="zero" or "nan" and leave out the rows whose kind is 2.'
         )
     if transform.complete_scan:
         raise InputValueError(
-            f"to_onnx: {type(transform).__name__}(complete_scan=True) appends as many beams as a cloud lacks, which no "
-            "graph can say beforehand. Give the graph an organised cloud and its directions (directions=True)."
+            f"to_onnx: {type(transform).__name__}(complete_scan=True) appends as many beams as a cloud lacks, a "
+            "number that no graph can have as a size. Give the graph an organised cloud and its directions "
+            "(directions=True)."
         )
     if transform.own_vehicle is not None:
         raise InputValueError(

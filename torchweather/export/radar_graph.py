@@ -43,8 +43,8 @@ def traceable_radar(transform: RadarAttenuation, points: int, columns: int) -> T
     """
     if transform.lost == "drop":
         raise InputValueError(
-            f'to_onnx: {type(transform).__name__}(lost="drop") gives as many detections as are left, which no graph '
-            'can say beforehand. Export lost="zero" or "nan" and leave out the rows whose kind is 2.'
+            f'to_onnx: {type(transform).__name__}(lost="drop") gives as many detections as are left, a number that '
+            'no graph can have as a size. Export lost="zero" or "nan" and leave out the rows whose kind is 2.'
         )
     refuse_what_follows_rain(transform)
     graph = _RadarGraph(_Weathered(without_samples(transform)), transform.chain, _intensities(transform))

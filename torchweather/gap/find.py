@@ -73,7 +73,9 @@ def find_gap(
     """
     if say is not None:
         warnings.warn(
-            "find_gap: say= is progress= now; the old name goes with the next release.", DeprecationWarning, 2
+            "find_gap: the argument is progress= now; its old name goes with the next release.",
+            DeprecationWarning,
+            2,
         )
         progress = progress or say
     broken = [finding for finding in diagnose(study) if finding.level == "error"]

@@ -146,7 +146,7 @@ def _check_positions(columns: dict[str, npt.NDArray[Any]], header: Any, target: 
         limits = np.iinfo(np.int32)
         if not bool(((steps >= limits.min) & (steps <= limits.max)).all()):
             raise TorchweatherError(
-                f"{target}: {axis} must lie within 2^31 steps of {scale:g} m about {offset:g} m, as the file's header "
-                "says. A lost point in the origin does not: leave lost points out (lost='drop'; command line: --lost "
+                f"{target}: {axis} must lie within 2^31 steps of {scale:g} m about {offset:g} m, those of the file's "
+                "header. A lost point in the origin does not: leave lost points out (lost='drop'; command line: --lost "
                 "drop)."
             )

@@ -125,7 +125,7 @@ class MapLayout:
         kind = self.scale or ("db_steps" if is_bytes else "complex" if is_complex else "")
         if not kind:
             raise TorchweatherError(
-                f"{source}: expected a scale; whether its numbers are powers, amplitudes or dB is not in the file. "
+                f"{source}: expected a scale; the file does not state if its numbers are powers, amplitudes or dB. "
                 f"Give scale ({', '.join(PLAIN_SCALES)}) in a layout (YAML), or in the .npz."
             )
         return PowerScale.steps(self.step_db, self.bottom_db) if kind == "db_steps" else PowerScale(kind)

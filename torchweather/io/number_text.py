@@ -78,8 +78,8 @@ def parse_columns(
     wanted = [line for line in lines if line and not line.isspace()]
     if rows is not None and len(wanted) != rows:
         raise TorchweatherError(
-            f"{source}: wanted {rows} rows of numbers, as its header says; got {len(wanted)}. The file is truncated "
-            "or its header is wrong."
+            f"{source}: wanted {rows} rows of numbers, the count in its header; got {len(wanted)}. The file is "
+            "truncated or its header is wrong."
         )
     if not wanted:
         return [np.zeros(0, dtype) for dtype in dtypes]

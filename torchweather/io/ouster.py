@@ -90,7 +90,7 @@ def read_ouster(
     for file in (source, description):
         if not file.is_file():
             raise TorchweatherError(
-                f"{file}: no such file. read_ouster wants a pcap and the sensor's json (meta=..., on the command line "
+                f"{file}: no such file. read_ouster needs a pcap and the sensor's json (meta=..., on the command line "
                 "--meta)."
             )
     try:

@@ -160,14 +160,14 @@ def _parsed(raw: bytes, source: Path) -> _Header:
     for name, size, letter, count in zip(names, sizes, types, counts, strict=True):
         if size not in _SIZES.get(letter, ()) or count < 0:
             raise TorchweatherError(
-                f"{source}: field {name!r}: wanted TYPE F with SIZE 4 or 8, or I or U with 1, 2, 4 or 8, and COUNT 0 "
-                f"or more; got TYPE {letter}, SIZE {size}, COUNT {count}."
+                f"{source}: field {name!r}: expected TYPE F with SIZE 4 or 8, or I or U with 1, 2, 4 or 8; COUNT 0 or "
+                f"more; got TYPE {letter}, SIZE {size}, COUNT {count}."
             )
         fields.append(PointField(name, f"<{_KIND[letter]}{size}" if size > 1 else f"|{_KIND[letter]}1", count))
     row_bytes = sum(size * count for size, count in zip(sizes, counts, strict=True))
     if row_bytes > _MAX_ROW_BYTES:
         raise TorchweatherError(
-            f"{source}: wanted at most {_MAX_ROW_BYTES} bytes for a point; SIZE and COUNT say {row_bytes}."
+            f"{source}: wanted at most {_MAX_ROW_BYTES} bytes for a point; got {row_bytes} from SIZE and COUNT."
         )
     if min(width, height, points) < 0 or width * height != points:
         raise TorchweatherError(
@@ -184,7 +184,7 @@ def _check_surplus(source: Path, available: int, header: _Header) -> None:
     size = row_dtype(header.fields).itemsize
     if available - header.points * size >= size:
         raise TorchweatherError(
-            f"{source}: wanted {header.points} points of {size} bytes, as its header says; got {available} bytes of "
+            f"{source}: wanted {header.points} points of {size} bytes, those of its header; got {available} bytes of "
             "data. The header is wrong."
         )
 

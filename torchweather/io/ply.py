@@ -286,7 +286,7 @@ def _without_lists(body: bytes, vertex: _Element, source: Path) -> bytes:
                 place = len(body) + 1
         if place > len(body):
             raise TorchweatherError(
-                f"{source}: wanted {vertex.count} vertices, as its header says; the file ends within them."
+                f"{source}: wanted {vertex.count} vertices, the count in its header; the file ends within them."
             )
     return b"".join(kept)
 

@@ -80,8 +80,8 @@ def read_polar_png(source: Path, layout: MapLayout) -> PolarPicture:
     times = header[:, :8].contiguous().view(torch.int64)[:, 0]
     if layout.dims not in (None, ("azimuth", "range")):
         raise TorchweatherError(
-            f"{source}: the picture holds the time and azimuth of each row, so its dims are [azimuth, range]; the "
-            f"layout says {list(layout.dims or ())}."
+            f"{source}: the picture holds the time and azimuth of each row, so its dims are [azimuth, range]; got "
+            f"{list(layout.dims or ())} from the layout."
         )
     azimuth_deg = layout.azimuth_deg or tuple(-360.0 / ENCODER_TICKS * float(tick) for tick in ticks)
     axes = replace(layout, dims=("azimuth", "range"), azimuth_deg=azimuth_deg).axes_of(values.shape, source)

@@ -90,8 +90,9 @@ class RadarPoints:
         object.__setattr__(self, "columns", tuple(self.columns))
         if self.points.ndim != 2 or self.points.shape[1] < 6 or self.points.dtype not in (torch.float32, torch.float64):
             raise InputValueError(
-                "RadarPoints: points must be float32 or float64 of shape (N, 6 or more) = x, y, z in metres, speed in "
-                f"m/s, power in dBm, RCS in dBsm; got {self.points.dtype} {tuple(self.points.shape)}."
+                f"RadarPoints: points must be float32 or float64 of shape (N, 6 or more); got {self.points.dtype} "
+                f"{tuple(self.points.shape)}. The first six columns are x, y, z in metres, speed in m/s, power in dBm, "
+                "RCS in dBsm."
             )
         if len(self.columns) != self.points.shape[1] or len(set(self.columns)) != len(self.columns):
             raise InputValueError(

@@ -227,10 +227,10 @@ def _check_names(names: Sequence[str], where: str) -> None:
     """Every column has a name of its own."""
     if not names or not all(names):
         raise TorchweatherError(
-            f"{where}: every column wants a name; got {', '.join(map(repr, names)) or 'no columns'}."
+            f"{where}: every column needs a name; got {', '.join(map(repr, names)) or 'no columns'}."
         )
     twice = sorted({name for name in names if list(names).count(name) > 1})
     if twice:
-        raise TorchweatherError(f"{where}: every column wants a name of its own; {', '.join(twice)} stands twice.")
+        raise TorchweatherError(f"{where}: every column needs a name of its own; {', '.join(twice)} stands twice.")
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
         raise TorchweatherError(f"{where}: wanted commas between cells; got one column {names[0]!r}.")

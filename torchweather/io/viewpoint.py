@@ -39,8 +39,8 @@ def points_to_sensor(xyz: Array, viewpoint: Sequence[float], source: Path) -> Ar
         if from_viewpoint_m > _FARTHER * from_origin_m:
             shown = ", ".join(f"{metres:g}" for metres in viewpoint[:3])
             raise TorchweatherError(
-                f"{source}: its VIEWPOINT says that the sensor stands at ({shown}) m in the frame of the points, but "
-                f"half of them lie within {from_origin_m:.1f} m of the origin and {from_viewpoint_m:.1f} m from there. "
+                f"{source}: its VIEWPOINT puts the sensor at ({shown}) m. Half of the points lie within "
+                f"{from_origin_m:.1f} m of the origin, and {from_viewpoint_m:.1f} m from that place. "
                 "If they are in the sensor's frame already, pass viewpoint='ignore' (command line: --viewpoint "
                 "ignore); else correct the file."
             )

@@ -416,8 +416,8 @@ def _judge_step(apart: Tensor, step: float, columns: int) -> None:
         return
     measured = apart[(apart > measured / WRONG_STEP) & (apart < measured * WRONG_STEP)].mean()
     warnings.warn(
-        f"empty_beams: neighbouring points of a ring are {float(measured):.3f} degrees apart, but "
-        f"Lidar(columns={columns}) says {step:.3f}: the number of empty beams will be wrong. Set "
+        f"empty_beams: neighbouring points of a ring are {float(measured):.3f} degrees apart, those of "
+        f"Lidar(columns={columns}) {step:.3f}: the number of empty beams will be wrong. Set "
         f"columns={round(TURN_DEG / float(measured))}, or another sensor, if the points have not been thinned.",
         TorchweatherWarning,
         stacklevel=4,

@@ -253,7 +253,7 @@ class LidarWeather(WeatherTransform):
         parts = _with_packed_flakes(weather.parts) if at.variant == "hahner" else weather.parts or (CLEAR_AIR,)
         air = patchy_air(weather)
         if air and published:
-            raise InputValueError(f'{type(self).__name__}: variant="d3_4" knows no patches; set patch_log_std=0.')
+            raise InputValueError(f'{type(self).__name__}: variant="d3_4" has no patches; set patch_log_std=0.')
         doppler = {} if sensor.speed_column is None else {"radial_speed": RadialSpeed(sensor, at.ego_speed_m_per_s)}
         if at.ego_speed_m_per_s != 0 and not doppler:
             raise InputValueError(
@@ -284,8 +284,8 @@ class LidarWeather(WeatherTransform):
         if variant == "d3_4" and kinds != ["rain"]:
             raise InputValueError(
                 f'{name}: variant="d3_4" exists for rain alone. The published fog and snow signals have no system '
-                "constant (a target reflectivity of 150, flakes 2.8e6 times brighter than the object, pulses of 10 fs) "
-                "and follow from no sensor. Use the default."
+                "constant and follow from no sensor. They need a target reflectivity of 150, pulses of 10 fs and "
+                "flakes 2.8e6 times brighter than the object. Use the default."
             )
         if variant == "hahner" and not {"fog", "snow"} & set(kinds):
             raise InputValueError(f'{name}: variant="hahner" is for fog and snow; this weather has neither.')
@@ -550,7 +550,7 @@ class LidarWeather(WeatherTransform):
         effects += [name for name, stage in self.chain.stages.items() if isinstance(stage, PatchyAir)]
         if effects:
             raise InputValueError(
-                f"{type(self).__name__}: expected knows the plain chain, without {', '.join(effects)}. Average draws "
+                f"{type(self).__name__}: expected is for the plain chain, without {', '.join(effects)}. Average draws "
                 "of run() instead."
             )
         beams, state = self._begin(points, directions)

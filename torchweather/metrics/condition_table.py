@@ -193,7 +193,7 @@ def _checked(*, strength: Sequence[Any] | None, **fields: Any) -> Conditions:
     if count < FEWEST:
         raise InputValueError(
             f"correlate: needs {FEWEST} conditions or more with a performance; got {count}. Sweep more levels of the "
-            "weather, or tell conditions apart by more columns (by)."
+            "weather, or separate conditions by more columns (by)."
         )
     if not np.isfinite(fields["performance"]).all():
         raise InputValueError("correlate: performance must be finite; got infinity.")

@@ -81,6 +81,6 @@ def _check_each(which: str, images: Tensor, highest: Tensor, white: float, name:
         if bool((images[place] != images[place].round()).any()):
             raise InputValueError(
                 f"{name}: data_range is {white:g}, but no value is above {float(highest[place]):g} in image {place} of "
-                f"{which}: images in [0, 1] have data_range=1. (A wrong range adds 48 dB to the PSNR of such images.) "
+                f"{which}: images in [0, 1] have data_range=1. A wrong range adds 48 dB to the PSNR of such images. "
                 "If it is that dark, divide both images by data_range and leave it at 1."
             )

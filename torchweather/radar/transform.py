@@ -190,7 +190,7 @@ class RadarAttenuation(WeatherTransform):
             given = [model for model in (at.rain_model, at.fog_model, at.snow_model) if model is not None]
             if given:
                 raise InputValueError(
-                    f"RadarAttenuation: variant={at.variant!r} says all three models; got {', '.join(given)} besides. "
+                    f"RadarAttenuation: variant={at.variant!r} sets all three models; got {', '.join(given)} besides. "
                     "Give one or the other."
                 )
             at = replace(at, rain_model=at.variant, fog_model=at.variant, snow_model=at.variant)

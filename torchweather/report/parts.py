@@ -205,7 +205,7 @@ class Figure(Part):
 
     def __post_init__(self) -> None:
         if not self.alt:
-            raise InputValueError("Figure: alt must say what the picture shows; got an empty text.")
+            raise InputValueError("Figure: alt must describe the picture; got an empty text.")
 
 
 @dataclass(frozen=True)

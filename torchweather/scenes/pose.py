@@ -41,6 +41,7 @@ def checked_pose(
             return pose
     shown = {"lidar": "LiDAR"}.get(sensor, sensor)
     raise InputValueError(
-        f"{owner}: T_vehicle_from_{sensor} must be a finite (4, 4) matrix of a rotation (columns are the {shown}'s x, "
-        f"y and z in the vehicle frame) and a position in metres, last row 0, 0, 0, 1; got {pose.tolist()}."
+        f"{owner}: T_vehicle_from_{sensor} must be a finite (4, 4) matrix of a rotation and a position in metres, last "
+        f"row 0, 0, 0, 1; got {pose.tolist()}. Columns of the rotation are the {shown}'s x, y and z in the vehicle "
+        "frame."
     )

@@ -245,7 +245,7 @@ def _heading_rad(car: SceneObject) -> float:
         at = [part.shape.bounding_sphere()[0] for part in car.parts if part.material == lamp]
         if not at:
             raise InputValueError(
-                f"radar_view: car {car.name!r} must have parts of {lamp}, which tell its front from its rear."
+                f"radar_view: car {car.name!r} must have parts of {lamp}, which distinguish its front from its rear."
             )
         middle[lamp] = [sum(point[axis] for point in at) / len(at) for axis in (0, 1)]
     (x1, y1), (x0, y0) = middle["head_light"], middle["tail_light"]

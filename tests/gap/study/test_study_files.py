@@ -312,7 +312,7 @@ def frame_contents() -> dict[str, tuple[bytes, str]]:
         "pickled": (npy(np.array([Runs()], dtype=object), allow_pickle=True), "cannot be read.*pickled"),
         "bare pickle": (pickle.dumps(Runs()), "cannot be read"),
         "truncated": (npy(np.ones((4, 6)))[:-40], "truncated|cannot hold|cannot be read"),
-        "huge": (huge, r"wants 1920000000000 bytes"),
+        "huge": (huge, r"needs 1920000000000 bytes"),
         "text": (npy(np.full((4, 6), "x")), "range_m must be real numbers"),
         "dates": (npy(np.zeros((4, 6), "datetime64[s]")), "range_m must be real numbers"),
         "complex": (npy(np.zeros((4, 6), complex)), "range_m must be real numbers"),

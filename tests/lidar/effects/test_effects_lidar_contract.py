@@ -495,7 +495,7 @@ def test_a_transform_refuses_what_is_no_effect() -> None:
 
 
 def test_the_smooth_expectation_does_not_pass_over_an_effect() -> None:
-    with pytest.raises(ValueError, match=r"expected knows the plain chain, without lidar.window_loss"):
+    with pytest.raises(ValueError, match=r"expected is for the plain chain, without lidar.window_loss"):
         rain(effects=[active("lidar.window_loss")]).expected(cloud())
 
 

@@ -158,6 +158,6 @@ def as_depth_source(depth: object) -> DepthSource:
     if callable(depth):
         return DepthFromCallable(depth)
     raise InputTypeError(
-        "depth must be a number of metres, a map (..., 1, H, W) in metres, a DepthSource such as FlatGround(), 'auto', "
-        f"or a function from image to depth; got {type(depth).__name__}. Read files with torchweather.io.read_depth."
+        "depth must be a number or a map (..., 1, H, W) in metres, a DepthSource (FlatGround(), ...), 'auto' or a "
+        f"function from image to depth; got {type(depth).__name__}. Read files with torchweather.io.read_depth."
     )

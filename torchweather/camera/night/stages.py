@@ -215,8 +215,8 @@ class NightLamps(Stage):
                 warnings.warn(
                     f"{type(self).__name__}: a lamp at position_m={lamp.position_m} is {distance_m:.2g} m from the "
                     f"camera, which is at (0, 0, {height_m:g}). Air and particles nearer to a lamp than "
-                    f"{LEAST_DISTANCE_M:g} m are lit as from {LEAST_DISTANCE_M:g} m, so those in front of the lens "
-                    f"are too dark. Place lamps at least {LEAST_DISTANCE_M:g} m from the camera.",
+                    f"{LEAST_DISTANCE_M:g} m are lit as from {LEAST_DISTANCE_M:g} m: too dark in front of the lens. "
+                    f"Place lamps at least {LEAST_DISTANCE_M:g} m from the camera.",
                     TorchweatherWarning,
                     stacklevel=4,
                 )

@@ -99,8 +99,8 @@ class Mmdet3dAdapter(Adapter):
         if self.particle_class is None or not hasattr(self.transform, "run") or len(self.clouds) > 1:
             raise InputValueError(
                 f"Mmdet3dAdapter: {present[0]} labels every point, and particles and lost points need labels of their "
-                "own. Give particle_class=, one cloud, and a transform that tells what each point is (Compose, or with "
-                "a method run as it has). Or call run() of the LiDAR's transform and take "
+                "own. Give particle_class=, one cloud, and a transform whose run() gives the kind of each point, as "
+                "that of Compose does. Or call run() of the LiDAR's transform and take "
                 "merge_kind(labels, result.kind, result.source)."
             )
         rows = len(results[self.clouds[0]].tensor)

@@ -186,8 +186,8 @@ def _outputs(decoder: str, given: Mapping[str, Any], path: Path) -> dict[str, tu
     if len({*every}) < len(every):
         raise TorchweatherError(
             f"{path}: outputs must name every output once; got {', '.join(every)}. If boxes, scores and classes are "
-            "one output, declare a decoder that reads it: yolov8 (4 + K, N), yolov5 (N, 5 + K) or end-to-end (N, 6), "
-            f"with outputs: {{packed: {every[0]}}}."
+            f"one output, declare outputs: {{packed: {every[0]}}} and its decoder. Decoders of one output: yolov8 "
+            "(4 + K, N), yolov5 (N, 5 + K), end-to-end (N, 6)."
         )
     return found
 
@@ -210,5 +210,5 @@ def _classes(values: Any, path: Path) -> dict[int, str]:
         raise TorchweatherError(f"{path}: classes must be a list of names, or number to name; got {values!r}.")
     names = [str(name) for _, name in pairs]
     if len({*names}) < len(names):
-        raise TorchweatherError(f"{path}: every class wants a name of its own; got {', '.join(names)}.")
+        raise TorchweatherError(f"{path}: every class needs a name of its own; got {', '.join(names)}.")
     return {int(number): str(name) for number, name in pairs}

@@ -41,7 +41,7 @@ def check_graph(graph: Graph, declaration: Declaration) -> None:
         for name in names:
             if name not in graph.outputs:
                 raise TorchweatherError(
-                    f"{where}: the declaration says output {name!r} for {role}; {graph.text}."
+                    f"{where}: the declaration names output {name!r} for {role}; {graph.text}."
                     f"{nearest_name(name, graph.outputs)}"
                 )
     for role, shape in _shapes(declaration).items():
@@ -67,7 +67,7 @@ def _check_input(graph: Graph, declaration: Declaration) -> None:
     if {*graph.inputs} != {declared["name"]}:
         hint = "" if declared["name"] in graph.inputs else nearest_name(declared["name"], graph.inputs)
         more = " A detector with several inputs is not supported." if len(graph.inputs) > 1 else ""
-        raise TorchweatherError(f"{where}: the declaration says input {declared['name']!r}; {graph.text}.{hint}{more}")
+        raise TorchweatherError(f"{where}: the declaration names input {declared['name']!r}; {graph.text}.{hint}{more}")
     port = graph.inputs[declared["name"]]
     wanted, kind = INPUT_PORTS[declaration.sensor].declared(declaration.input)
     fits = not port.shape or (len(port.shape) == len(wanted) and all(map(_fits, port.shape, wanted)))
@@ -75,7 +75,7 @@ def _check_input(graph: Graph, declaration: Declaration) -> None:
         return
     shape = ", ".join(map(str, wanted))
     raise TorchweatherError(
-        f"{where}: the declaration says {declared['name']} {kind} ({shape}); {graph.text}."
+        f"{where}: the declaration states {declared['name']} {kind} ({shape}); {graph.text}."
         f"{_input_remedy(port, wanted, kind)}"
     )
 

@@ -108,7 +108,7 @@ def read_boxes_truth(path: str | os.PathLike[str], classes: Mapping[int, str]) -
     if not known:
         hint = nearest_name(next(iter(classes.values())), names.values())
         raise TorchweatherError(
-            f"{file}: no category that the detector knows; it has {', '.join(sorted({*names.values()})) or 'none'}, "
+            f"{file}: no category of the detector; it has {', '.join(sorted({*names.values()})) or 'none'}, "
             f"the detector {', '.join(classes.values())}.{hint}"
         )
     found: dict[str, list[tuple[str, list[float], bool]]] = defaultdict(list)

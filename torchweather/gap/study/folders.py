@@ -185,7 +185,7 @@ def _sensor(sensor: StudySensor | str, owner: str) -> tuple[StudySensor, StudyKi
             return built, kind
     raise TorchweatherError(
         f"{owner}: sensor must be a Lidar or a Camera; got {type(built).__name__}. Detection lists of a radar do "
-        "not say which target is which: use Study.from_arrays."
+        "not identify their targets: use Study.from_arrays."
     )
 
 

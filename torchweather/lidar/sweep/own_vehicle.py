@@ -298,8 +298,8 @@ def checked_own_vehicle(value: object, sensor: Lidar, owner: str) -> OwnVehicle 
             if x0 < x1 and y0 < y1 and z0 < z1:
                 return x0, x1, y0, y1, z0, z1
     raise InputValueError(
-        f"{owner}: own_vehicle: expected a mask (own_vehicle_mask), its .npz file, or a box of the vehicle's body, "
-        f"x from, x to, y from, y to, z from, z to, in metres in the sensor's frame; got {value!r}. Pass e.g. "
+        f"{owner}: own_vehicle: expected a mask (own_vehicle_mask), its .npz file, or a box of the vehicle's body; "
+        f"got {value!r}. A box is x from, x to, y from, y to, z from, z to, in metres in the sensor's frame. Pass e.g. "
         "own_vehicle=(-2.4, 2.1, -0.9, 0.9, -1.6, -0.2)."
     )
 

@@ -203,7 +203,7 @@ def estimate_pattern(
     step = fit_azimuth_step(azimuth, number, found)
     if step is None:
         raise InputValueError(
-            f"estimate_pattern: too few neighbours on the rings to tell the azimuth step; got {len(xyz)} returns on "
+            f"estimate_pattern: too few neighbours on the rings to measure the azimuth step; got {len(xyz)} returns on "
             f"{found} rings. Pass a whole sweep."
         )
     every = np.full(len(seen), -1, dtype=np.int64)

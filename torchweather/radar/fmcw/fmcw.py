@@ -155,7 +155,9 @@ class FmcwRadar(AtLeastSingle):
         self.angles_per_cell, self.dynamic_db, self.noise = int(angles_per_cell), float(dynamic_db), bool(noise)
         parts = () if weather is None else weather.parts
         if any(part.patch_log_std != 0.0 for part in parts):
-            raise InputValueError("FmcwRadar: knows no patches; set patch_log_std=0, or use RadarAttenuation.")
+            raise InputValueError(
+                "FmcwRadar: expected weather without patches; set patch_log_std=0, or use RadarAttenuation."
+            )
         self.path = PathAttenuation(parts, radar, rain_model, fog_model, snow_model) if parts else None
         rates = [part.intensity for part in parts if isinstance(part, Rain)]
         self.radome = WetRadome(rates[0] if rates else 0.0, radome_loss_db, radome_film_db, radome_film_exponent)

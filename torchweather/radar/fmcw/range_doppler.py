@@ -33,8 +33,8 @@ def check_cube(cube: Tensor, radar: Radar, owner: object) -> None:
         raise InputTypeError(f"{name}: cube must be a complex tensor (..., V, chirps, samples); got {got}.")
     if tuple(cube.shape[-3:]) != wanted:
         raise InputValueError(
-            f"{name}: cube must be (..., {wanted[0]} virtual channels, {wanted[1]} chirps, {wanted[2]} samples), as "
-            f"the radar says; got {tuple(cube.shape)}."
+            f"{name}: cube must be (..., {wanted[0]} virtual channels, {wanted[1]} chirps, {wanted[2]} samples), "
+            f"those of the radar; got {tuple(cube.shape)}."
         )
 
 

@@ -85,7 +85,7 @@ class RangeDopplerMap(nn.Module):
             if part.ndim < 3 or tuple(part.shape[-3:]) != wanted:
                 raise InputValueError(
                     f"RangeDopplerMap: {name} must be (..., {wanted[0]} virtual channels, {wanted[1]} chirps, "
-                    f"{wanted[2]} samples), as the radar says; got {tuple(part.shape)}."
+                    f"{wanted[2]} samples), those of the radar; got {tuple(part.shape)}."
                 )
             if part.dtype != self.range_cos.dtype:
                 raise InputTypeError(

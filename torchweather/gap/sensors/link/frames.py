@@ -84,9 +84,9 @@ class LinkFrames:
         self.fit, self.holdout = (self._conditions(split, found[split][0]) for split in (FIT, HOLDOUT))
         if not self.fit or not self.holdout:
             raise TorchweatherError(
-                f"find_gap: not enough data to decide: wanted {FEWEST['mean']:.0f} samples or more in a class of rain "
-                f"or after it, of the links to fit to and of those held out; got {len(found[FIT][0])} and "
-                f"{len(found[HOLDOUT][0])} in rain and after it. Give a longer record."
+                f"find_gap: not enough data to decide: expected {FEWEST['mean']:.0f} samples or more in a class of "
+                f"rain, or after rain, in both parts of the links; got {len(found[FIT][0])} to fit to and "
+                f"{len(found[HOLDOUT][0])} held out, in rain and after it. Give a longer record."
             )
         self._drawn: dict[tuple[str, int], Floats] = {}
         self.cells = {name: self._cells(samples) for name, samples in self.samples.items()}

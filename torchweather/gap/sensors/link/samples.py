@@ -115,8 +115,8 @@ def link_samples(links: Frame, frame: Frame, chosen: Mask, owner: str) -> tuple[
         )
     if not dry.any():
         raise TorchweatherError(
-            f"{owner}: not enough data to decide: no sample is dry, 15 min or more from rain on its link; how links "
-            "scatter without rain cannot be told. Give a longer record."
+            f"{owner}: not enough data to decide: no sample is dry, 15 min or more from rain on its link; the scatter "
+            "without rain cannot be measured. Give a longer record."
         )
     exponent = _exponent(links)
     hour = ((time_s - time_s[0]) // HOUR_S).astype(np.int64)
