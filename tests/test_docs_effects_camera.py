@@ -50,7 +50,7 @@ def facts(effect: type[Effect]) -> list[str]:
     place = "in front of all stages" if effect.after == "scene" else f"behind `{effect.after}`"
     return [
         f"- **In the chain**: {place}",
-        *(f"- **Taken for** `{other}`. What tells them apart: {by}" for other, by in effect.confusable_with.items()),
+        *(f"- **Taken for** `{other}`. Distinguished by {by}" for other, by in effect.confusable_with.items()),
     ]
 
 

@@ -33,7 +33,7 @@ def facts(effect: type[Effect]) -> list[str]:
         f"- **In the chain**: behind `{effect.after}`",
         f"- **ONNX**: {'yes' if why_not is None else f'no, {why_not}'}",
         f"- **PerCollECT**: {effect.percollect or 'no node'}",
-        *(f"- **Taken for** `{other}`. What tells them apart: {by}" for other, by in effect.confusable_with.items()),
+        *(f"- **Taken for** `{other}`. Distinguished by {by}" for other, by in effect.confusable_with.items()),
     ]
 
 

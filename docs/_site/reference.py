@@ -7,7 +7,7 @@ site is built without PyTorch.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +32,13 @@ class Name:
         module: public module that it is imported from.
         name: the name.
         found: what it names; ``None`` where reading the source does not tell.
+        twin: another name of the module differs in case alone.
     """
 
     module: str
     name: str
     found: griffe.Object | None
+    twin: bool = False
 
     @property
     def kind(self) -> str:
@@ -74,6 +76,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name in home.values():
         if name.kind != "value":
             pages[page_of(name)] = page_in_full(name, table)
+    if len({uri.lower() for uri in pages}) < len(pages):
+        raise PluginError("pages of the reference differ in case alone: one would be lost on a disk that ignores case")
     for uri, text in pages.items():
         files.append(File.generated(config, uri, content=text))
     return files
@@ -87,8 +91,14 @@ def public_names(page: Path, root: Path) -> dict[str, list[Name]]:
     parts = SECTION.split(page.read_text(encoding="utf-8"))[1:]
     listed: dict[str, list[Name]] = {}
     for module, _, text in zip(parts[::3], parts[1::3], parts[2::3], strict=True):
-        listed[module] = [Name(module, name, find(package, module, name)) for name in CODE.findall(text)]
+        listed[module] = with_twins([Name(module, name, find(package, module, name)) for name in CODE.findall(text)])
     return listed
+
+
+def with_twins(names: list[Name]) -> list[Name]:
+    """Names of a module, with a mark on those that differ in case alone, such as ``Rates`` and ``rates``."""
+    small = [name.name.lower() for name in names]
+    return [replace(name, twin=small.count(name.name.lower()) > 1) for name in names]
 
 
 def find(package: griffe.Object | griffe.Alias, module: str, name: str) -> griffe.Object | None:
@@ -106,8 +116,8 @@ def find(package: griffe.Object | griffe.Alias, module: str, name: str) -> griff
 
 
 def page_of(name: Name) -> str:
-    """Page of a class or function."""
-    return f"reference/{name.module}/{name.name}.md"
+    """Page of a class or function; twins get different ones on a disk that ignores case, too."""
+    return f"reference/{name.module}/{name.name}{f'-{name.kind}' if name.twin else ''}.md"
 
 
 def overview(modules: dict[str, list[Name]], page: Path) -> str:

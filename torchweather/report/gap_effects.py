@@ -107,7 +107,7 @@ def _found(
             )
             for rival in rivals
         ]
-        found.append(parts.Table([*heads, parts.Column("What tells them apart", "words")], rows_of_rivals, look="tops"))
+        found.append(parts.Table([*heads, parts.Column("Distinguished by", "words")], rows_of_rivals, look="tops"))
     else:
         found.append(parts.Note("The catalogue lists nothing that it could be mistaken for."))
     with_intensity = getattr(study.sensor, "intensity_unit", "none") != "none"
