@@ -38,7 +38,7 @@ def row(parameter: Parameter) -> str:
     """A parameter's row in the table."""
     at = "–" if parameter.identity is None else number(parameter.identity)
     if parameter.identity is None:
-        at = f"says where or how; {'π' if parameter.value == math.pi else number(parameter.value)} unless given"
+        at = f"sets where or how; {'π' if parameter.value == math.pi else number(parameter.value)} unless given"
     bounds = f"{number(parameter.low)} to {number(parameter.high)}"
     return f"| `{parameter.name}` | {parameter.unit} | {bounds} | {at} | {number(parameter.scale)} |"
 

@@ -38,7 +38,7 @@ def number(value: float) -> str:
 def row(parameter: Parameter) -> str:
     """A parameter's row in the table."""
     if parameter.identity is None:
-        at = f"says where or how; {number(parameter.value)} unless given"
+        at = f"sets where or how; {number(parameter.value)} unless given"
     else:
         at = number(parameter.identity)
     bounds = f"{number(parameter.low)} to {number(parameter.high)}"

@@ -19,7 +19,7 @@ import yaml
 
 import torchweather
 from torchweather.cli.program import build_parser
-from torchweather.recipes import list_recipes
+from torchweather.recipes import list_recipes, read_recipe
 from torchweather.stages import EFFECTS
 
 ROOT = Path(__file__).parents[1]
@@ -101,7 +101,22 @@ def test_the_reference_lists_every_recipe(hook: ModuleType) -> None:
     assert all(f"| `{recipe.name}` |" in page for recipe in list_recipes())
     shown = [recipe.name.replace("/", "-") for recipe in list_recipes(kind="transform")]
     assert all(f"images/gallery/recipe-{name}.webp" in page for name in shown)
-    assert page.count('<div class="before-after"') == len(shown) > 1
+    several = [recipe.name for recipe in list_recipes(kind="multi_sensor") if f"\n`{recipe.name}`\n" in page]
+    assert page.count('<div class="before-after"') == len(shown) + 3 * len(several)
+    assert min(len(shown), len(several)) > 1
+
+
+@pytest.mark.parametrize("hook", ["pictures"], indirect=True)
+def test_pictures_of_a_recipe_of_several_sensors_are_of_its_weather_and_sensors(hook: ModuleType) -> None:
+    for found in list_recipes(kind="multi_sensor"):
+        recipe = read_recipe(found.name)
+        weathers = recipe.build_weather().values
+        if found.name.startswith("multi_sensor/") and len(weathers) == 1:
+            rest = found.name.partition("/")[2]
+            parts = [read_recipe(f"{before}{rest}") for before in hook.PARTS]
+            assert [part.sensor_name for part in parts] == [one.sensor_name for one in recipe.transforms.values()]
+            assert all(part.build().weather == weathers[0] for part in parts), found.name
+            assert not any(one.options for one in (*parts, *recipe.transforms.values()))
 
 
 @pytest.mark.parametrize("hook", ["commands"], indirect=True)

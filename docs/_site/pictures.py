@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-__all__ = ["picture_of_class", "picture_of_recipe", "read_table", "slider"]
+__all__ = ["picture_of_class", "pictures_of_recipe", "read_table", "slider"]
 
 PICTURES = "images/gallery"
 # Pictures of classes that are no effects; an effect's class has the name of its picture.
@@ -27,6 +27,8 @@ OF_CLASS = {
     "RoadSpray": "camera-rain-of-20-mm-h-spray-of-a-car-ahead",
     "SnowCover": "camera-snow-of-1-mm-h-lying-snow",
 }
+# Recipes of one sensor that have the weather and the sensor of multi_sensor/NAME.
+PARTS = ("camera/", "lidar/os1-", "radar/imaging-")
 WORD = re.compile(r"[A-Z][a-z]*")
 
 
@@ -43,9 +45,12 @@ def picture_of_class(name: str, table: dict[str, Any]) -> dict[str, Any] | None:
     return next((entry for entry in table["entries"] if entry["name"] == wanted), None)
 
 
-def picture_of_recipe(name: str, table: dict[str, Any]) -> dict[str, Any] | None:
-    """Entry that shows a recipe, where one does: ``camera/fog-10m`` is ``recipe-camera-fog-10m``."""
-    return next((entry for entry in table["entries"] if entry["name"] == f"recipe-{name.replace('/', '-')}"), None)
+def pictures_of_recipe(name: str, table: dict[str, Any]) -> list[dict[str, Any]]:
+    """Entries that show a recipe: ``camera/fog-10m`` is ``recipe-camera-fog-10m``; one of several sensors has each."""
+    folder, _, rest = name.partition("/")
+    parts = [f"{before}{rest}" for before in PARTS] if folder == "multi_sensor" else [name]
+    wanted = [f"recipe-{part.replace('/', '-')}" for part in parts]
+    return [entry for entry in table["entries"] if entry["name"] in wanted]
 
 
 def slider(entry: dict[str, Any], up: str) -> str:

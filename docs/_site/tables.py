@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
-from pictures import picture_of_recipe, read_table, slider
+from pictures import pictures_of_recipe, read_table, slider
 
 INDEX = """# Reference
 
@@ -44,9 +44,10 @@ def recipes(folder: Path, table: dict[str, Any]) -> str:
         "",
         "Load one by name, `torchweather.recipes.load_recipe`, or give the name to a command as `--recipe`.",
         "A `transform` is one weather before one sensor, with a picture below its table; clear air is on its left.",
-        "A `multi_sensor` recipe puts one weather on all sensors of a sample; mixes draw another one for each",
-        "sample. A `suite` is a list of weathers and severities, which the gallery shows for",
-        "[cameras](../gallery/camera.md), [LiDAR](../gallery/lidar.md) and [radar](../gallery/radar.md).",
+        "A `multi_sensor` recipe puts one weather on all sensors of a sample, with a picture of each. Mixes draw",
+        "another weather for each sample, and have no picture. A `suite` is a list of weathers and severities,",
+        "which the gallery shows for [cameras](../gallery/camera.md), [LiDAR](../gallery/lidar.md) and",
+        "[radar](../gallery/radar.md).",
     ]
     for part in sorted(path for path in folder.iterdir() if path.is_dir()):
         lines += ["", f"## {part.name}", "", "| name | kind | what it is |", "| --- | --- | --- |"]
@@ -54,25 +55,24 @@ def recipes(folder: Path, table: dict[str, Any]) -> str:
         for name in names:
             recipe = yaml.safe_load((folder / f"{name}.yaml").read_text(encoding="utf-8"))
             lines.append(f"| `{name}` | {recipe['kind']} | {cell(recipe['title'])} |")
-        lines += pictures([(name, picture_of_recipe(name, table)) for name in names])
+        lines += pictures([(name, entry) for name in names for entry in pictures_of_recipe(name, table)])
     return "\n".join([*lines, ""])
 
 
-def pictures(shown: list[tuple[str, dict[str, Any] | None]]) -> list[str]:
-    """Sliders of the recipes that have a picture."""
+def pictures(shown: list[tuple[str, dict[str, Any]]]) -> list[str]:
+    """Sliders of the recipes that have pictures."""
     lines = []
     for name, entry in shown:
-        if entry is not None:
-            lines += [
-                "",
-                '<div class="gallery-entry" markdown>',
-                "",
-                slider(entry, "../../"),
-                "",
-                f"`{name}`",
-                "",
-                "</div>",
-            ]
+        lines += [
+            "",
+            '<div class="gallery-entry" markdown>',
+            "",
+            slider(entry, "../../"),
+            "",
+            f"`{name}`",
+            "",
+            "</div>",
+        ]
     return ["", '<div class="gallery" markdown>', *lines, "", "</div>"] if lines else []
 
 
