@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -209,17 +210,19 @@ def _with_ends(beams: Beams, sensor: Lidar) -> Beams:
     returns = (points[..., :3].square().sum(-1) > sensor.min_range_m**2) & holds_return(points)
     end_m = torch.full(returns.shape, torch.inf, dtype=points.dtype)
     end = torch.full(returns.shape, int(BeamEnd.RETURN), dtype=torch.int8)
-    for sample, hit in enumerate(returns.cpu()):
-        if bool(hit.all()):
+    clouds, directions = as_numpy(points), as_numpy(along)
+    for sample, hit in enumerate(as_numpy(returns)):
+        there, empty = np.flatnonzero(hit), np.flatnonzero(~hit)
+        if not len(empty):
             continue
-        direction = along[min(sample, len(along) - 1)].detach().cpu()[~hit]
+        direction = directions[min(sample, len(directions) - 1)].take(empty, 0)
         known = (direction != 0).any(-1)
-        xyz = points[sample, :, :3].detach().cpu()[hit].numpy()
+        xyz = clouds[sample, :, :3].take(there, 0)
         step_deg = sensor.column_step_deg or 0.2
-        found = beam_ends(xyz, direction.numpy(), sensor.max_range_m, step_deg=step_deg)
-        end_m[sample, hit] = torch.from_numpy(ways_above_ground(xyz, found.ground, 0.0)).to(end_m)
-        end_m[sample, ~hit] = torch.where(known, torch.from_numpy(found.distance_m), 0.0).to(end_m)
-        end[sample, ~hit] = torch.where(known, torch.from_numpy(found.end), int(BeamEnd.UNKNOWN)).to(torch.int8)
+        found = beam_ends(xyz, direction, sensor.max_range_m, step_deg=step_deg)
+        end_m[sample].numpy()[there] = ways_above_ground(xyz, found.ground, 0.0)
+        end_m[sample].numpy()[empty] = np.where(known, found.distance_m, 0.0)
+        end[sample].numpy()[empty] = np.where(known, found.end, int(BeamEnd.UNKNOWN))
     return replace(beams, end_m=end_m.to(points), end=end.to(points.device))
 
 

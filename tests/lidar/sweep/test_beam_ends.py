@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import binary_opening
 
 from tests.lidar.sweep.street_sweep import CAR, COLUMNS, MAX_RANGE_M, SENSOR_M, street
+from torchweather.core import compiled as switch
 from torchweather.lidar.sweep.beam_ends import BeamEnd, beam_ends
 from torchweather.lidar.sweep.ground import fit_ground
 from torchweather.lidar.sweep.sweep_raster import SweepRaster, long_runs
@@ -106,6 +107,33 @@ def test_neighbours_are_those_of_a_search_of_every_cell() -> None:
             assert side.range_m[number] == pytest.approx(expected, abs=1e-4)
             assert side.away_deg[number] == pytest.approx(away)
             assert side.raised[number] == high
+
+
+@pytest.mark.parametrize(("density", "reach_deg", "up_deg"), [(0.3, 60.0, 12.0), (0.02, 400.0, 90.0), (0.9, 4.0, 0.0)])
+def test_compiled_neighbours_are_the_same_bits(
+    density: float, reach_deg: float, up_deg: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(8)
+    rows, columns, step_deg = 17, 120, 3.0
+    elevation, azimuth = np.radians(rng.uniform(-25, 15, rows)), np.radians((np.arange(columns) + 0.5) * step_deg)
+    cell = np.arange(rows * columns)
+    e, a = elevation[cell // columns], azimuth[cell % columns]
+    rays = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
+    hit = (rng.random(len(cell)) < density) & (cell // columns != 5)  # one ring is empty
+    range_m, raised = rng.uniform(2.0, 50.0, hit.sum()), rng.random(hit.sum()) < 0.5
+    beams = ~hit | (rng.random(len(cell)) < 0.1)  # some share a cell with a return
+    raster = SweepRaster(
+        rays[hit] * range_m[:, None], raised, rays[beams], step_deg, cell[hit] // columns, cell[beams] // columns
+    )
+    monkeypatch.setenv(switch.SWITCH, "0")
+    slow = raster.neighbours(reach_deg, up_deg)
+    monkeypatch.setenv(switch.SWITCH, "1")
+    assert switch.uses_compiled()
+    for one, other in zip(raster.neighbours(reach_deg, up_deg), slow, strict=True):
+        np.testing.assert_array_equal(one.range_m, other.range_m)
+        np.testing.assert_array_equal(one.away_deg, other.away_deg)
+        np.testing.assert_array_equal(one.raised, other.raised)
+        assert np.isfinite(other.range_m).any()
 
 
 def test_regions_are_wide_connected_and_whole_across_the_seam() -> None:

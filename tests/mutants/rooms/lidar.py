@@ -343,6 +343,14 @@ MUTANTS = (
         ("tests/lidar/test_lidar_own_vehicle.py::test_a_mask_of_another_sensor_is_refused",),
     ),
     Mutant(
+        "compiled_left_is_right",
+        "the return to the left of a beam lies at a greater azimuth",
+        "torchweather.lidar.sweep.compiled_raster",
+        "at = (c + step) % columns if side == 0",
+        "at = (c - step) % columns if side == 0",
+        ("tests/lidar/sweep/test_beam_ends.py::test_compiled_neighbours_are_the_same_bits",),
+    ),
+    Mutant(
         "frame_of_the_sweep_not_judged",
         "a sweep that is tilted or stands beside its sensor is refused",
         "torchweather.lidar.sweep.sweep_check",

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from torchweather.core.compiled import uses_compiled
 from torchweather.core.errors import InputValueError, check_between
 
 __all__ = ["Neighbour", "SweepRaster", "long_runs"]
@@ -99,6 +100,8 @@ class SweepRaster:
             azimuth_deg: farthest to the sides.
             elevation_deg: farthest up and down.
         """
+        if uses_compiled():
+            return self._neighbours_by_loops(azimuth_deg, elevation_deg)
         reach = min(round(azimuth_deg / self.step_deg), self.columns)
         there = np.isfinite(self.range_m)
         around = np.concatenate([there[:, self.columns - reach :], there, there[:, :reach]], 1)
@@ -125,6 +128,18 @@ class SweepRaster:
             away = np.abs(self.elevation_deg[row] - self.elevation_deg[self.row])
             ends.append(self._side(row, self.column, (row == found) & (away <= elevation_deg), away))
         return left, right, ends[0], ends[1]
+
+    def _neighbours_by_loops(
+        self, azimuth_deg: float, elevation_deg: float
+    ) -> tuple[Neighbour, Neighbour, Neighbour, Neighbour]:
+        from torchweather.lidar.sweep.compiled_raster import nearest_returns
+
+        shape = (4, len(self.row))
+        ranges, angles, raised = np.empty(shape), np.empty(shape), np.empty(shape, bool)
+        beams = (self.elevation_deg, self.row, self.column, self.step_deg, float(azimuth_deg), float(elevation_deg))
+        nearest_returns(self.range_m, self.raised, *beams, (ranges, angles, raised))
+        left, right, above, below = (Neighbour(*one) for one in zip(ranges, angles, raised, strict=True))
+        return left, right, above, below
 
     def _side(self, row: Index, column: Index, near: Mask, away_deg: Numbers) -> Neighbour:
         return Neighbour(
