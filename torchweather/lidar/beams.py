@@ -157,9 +157,10 @@ def _beams_of(
                 f"{owner_name(owner)}: complete_scan is for clouds without directions; give one or the other."
             )
         along = _fitting(unit_directions(directions, owner=owner), points, owner).to(flat)
-        height_m = beam_heights_m(flat, sensor)
+        there = holds_return(flat)
+        height_m = beam_heights_m(flat, sensor, there=there)
         words = "directions given for every row"
-        beams = Beams(_lowered(flat, height_m), along, None, None, height_m, None, words, 0)
+        beams = Beams(_lowered(flat, height_m, there), along, None, None, height_m, None, words, 0)
         return beams if is_exporting() or not at_scene else _with_ends(beams, sensor)
     if complete_scan:
         mask = own_vehicle if isinstance(own_vehicle, OwnVehicleMask) else None
