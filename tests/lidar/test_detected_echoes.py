@@ -106,6 +106,8 @@ OF_SIGNALS: tuple[tuple[dict[str, Any], ...], ...] = (
     ({"effect": "lidar.blind_zone", "range_m": 4.0}, {"effect": "lidar.sector_loss", "loss_db": 5.0}),
     ({"effect": "lidar.ring_gain", "db_per_ring": 0.5},),
     ({"effect": "lidar.shared_particles", "share": 0.5},),
+    # The denser the air of a beam, the earlier its particles arrive.
+    ({"effect": "lidar.particle_density_azimuth", "amplitude": 15.0, "width_rad": 2.0},),
 )
 
 

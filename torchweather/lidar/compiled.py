@@ -19,6 +19,7 @@ from torch import Tensor
 
 from torchweather.core.compiled import compiled_path, uses_compiled
 from torchweather.core.threads import side_by_side, threads_at_hand
+from torchweather.lidar.compiled_calls import MODES
 from torchweather.lidar.intensity import LOG_STEP, WHITE
 from torchweather.lidar.returns.beam_particles import BeamParticles
 from torchweather.lidar.returns.compiled_calls import FEWEST_BEAMS, NO_MAP, NO_ROW, array_of, no_part, part_of
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 __all__ = ["covers", "rendered_by", "weathered"]
 
 PLAIN = (ToEnergy, Extinction, ParticleReturns, Detection, ToPoints)
-MODES = ("strongest", "first", "last", "dual")
 
 Array = NDArray[np.float32]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from torch import Tensor
 
@@ -15,7 +15,7 @@ from torchweather.pipeline.effect import Effect
 from torchweather.pipeline.stage import Stage
 from torchweather.pipeline.tiling import is_exporting
 
-__all__ = ["particle_gain", "through_stages"]
+__all__ = ["particle_gain", "run_stages", "through_stages"]
 
 LOOK_AT_DETECTED = (ToEnergy, Extinction, ParticleReturns, Detection, RadialSpeed, ToPoints)
 SIGNAL_OVER_THRESHOLD = {"returns.signal", "receiver.threshold", "receiver.threshold_scale"}
@@ -30,11 +30,27 @@ def through_stages(
     Args:
         chain: its stages.
         state, noise: as of ``Chain.forward``.
-        gain: as ``particle_gain``, where stages that are not in this chain come after it; ``None`` is that of its own.
+        gain: as of ``run_stages``.
     """
-    stages = list(chain.stages.items())
+    return run_stages(list(chain.stages.items()), state, lambda name: chain.noise_of(name, noise), gain)
+
+
+def run_stages(
+    stages: Sequence[tuple[str, Stage]],
+    state: LidarState,
+    noise_of: Callable[[str], Mapping[str, Tensor]],
+    gain: float | None = None,
+) -> LidarState:
+    """The state after some stages; particles that the sensor cannot detect are not drawn.
+
+    Args:
+        stages: with their names, in order.
+        state: as of ``Chain.forward``.
+        noise_of: random numbers of a stage, by its name.
+        gain: as ``particle_gain``, where stages that are not among these come after them; ``None`` is that of these.
+    """
     for number, (name, stage) in enumerate(stages):
-        own = chain.noise_of(name, noise)
+        own = noise_of(name)
         if isinstance(stage, ParticleReturns) and not is_exporting():
             most = particle_gain(one for _, one in stages[number + 1 :]) if gain is None else gain
             least = None if math.isinf(most) else state.detected_from.detach().min() * ((1.0 - MARGIN) / most)

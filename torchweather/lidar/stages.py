@@ -19,6 +19,7 @@ from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, check_at_least, check_one_of
 from torchweather.core.random import Variate
 from torchweather.lidar.beam import Beam
+from torchweather.lidar.compiled_calls import chosen_echoes, is_plain, read_echoes
 from torchweather.lidar.intensity import (
     dimmed_intensity,
     intensity_from_signal,
@@ -853,6 +854,14 @@ class Detection(SensorStage):
 
     def forward(self, state: LidarState, noise: Mapping[str, Tensor]) -> LidarState:
         """The state with the reported echoes: one, or two of a dual-return sensor."""
+        returns, clear_m = state.returns, state.scene.clear_range_m
+        if returns.echo_speed_m_per_s is None and is_plain(
+            returns.range_m, returns.signal, state.detected_from, clear_m
+        ):
+            found = chosen_echoes(
+                returns.range_m, returns.signal, returns.kind, state.detected_from, clear_m, self.sensor
+            )
+            return state.changed(**dict(zip(("range_m", "signal", "kind"), found, strict=True)))
         every = [state.returns.range_m, state.returns.signal, state.returns.kind]
         if (speed := state.returns.echo_speed_m_per_s) is not None:
             more = state.returns.range_m.shape[-1] - speed.shape[-1]
@@ -1044,7 +1053,14 @@ class ToPoints(SensorStage):
         What no stage touched has the input's own intensity.
         """
         drawn = noise.get("range_noise")
-        range_m, value, lost = self._out(state, None if drawn is None else drawn[:, echo], echo)
+        scene, own = state.scene, None if drawn is None else drawn[:, echo]
+        of_clear = scene.clear_range_m, scene.clear_signal
+        given = scene.points_in, scene.borrowed_intensity
+        if is_plain(state.returns.range_m, state.returns.signal, state.receiver.threshold, own, *of_clear, *given):
+            returns = state.returns
+            of_echo = returns.range_m[..., echo], returns.signal[..., echo], returns.kind[..., echo]
+            return read_echoes(of_echo, of_clear, *given, own, scene.integral, state.receiver.threshold, self.sensor)
+        range_m, value, lost = self._out(state, own, echo)
         return torch.where(lost, 0.0, range_m), torch.where(lost, 0.0, value)
 
     def _out(self, state: LidarState, noise: Tensor | None, echo: int) -> tuple[Tensor, Tensor, Tensor]:

@@ -20,6 +20,7 @@ from torchweather.core.plugins import find_plugin, plugin_names
 from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.registry import load_catalogue, register
 from torchweather.pipeline.stage import Stage
+from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["CAMERA_PLACES", "EFFECTS", "Effect", "Parameter", "effect_from_dict", "register_effect", "with_effects"]
 
@@ -252,12 +253,19 @@ def _over(parameter: Tensor, like: Tensor) -> Tensor:
     return parameter.reshape(-1, *(1,) * (like.ndim - 1)) if parameter.ndim and like.ndim else parameter
 
 
+def _is_plain(identity: Tensor) -> bool:
+    """True for one value of all samples that may be looked at: on the processor, outside of exported graphs."""
+    return not is_exporting() and identity.ndim == 0 and identity.device.type == "cpu"
+
+
 def _unless(identity: Tensor, before: Tensor, after: Tensor) -> Tensor:
     """The value after an effect, with the bits from before where it is at its identity, and the effect's gradient."""
     after = after.to(before.dtype)
     more = after.shape[-1] - before.shape[-1] if after.ndim else 0
     if more:
         before = torch.nn.functional.pad(before, (0, more))
+    if _is_plain(identity) and not after.requires_grad and before.shape == after.shape:
+        return before if bool(identity) else after
     if after.requires_grad:
         before = before.detach() + (after - after.detach())
     return torch.where(identity, before, after)

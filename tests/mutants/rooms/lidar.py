@@ -24,6 +24,22 @@ MUTANTS = (
         ("tests/lidar/test_compiled_beams.py::test_a_cloud_without_points_stays_one",),
     ),
     Mutant(
+        "an_echo_is_reported_twice",
+        "compiled detection of two returns reports no echo twice",
+        "torchweather.lidar.compiled_detection",
+        "chosen = -1  # one echo is reported once",
+        "chosen = end",
+        ("tests/lidar/test_compiled_detection.py::test_detected_echoes_are_those_of_torch_bit_for_bit",),
+    ),
+    Mutant(
+        "dense_air_cut_as_the_mean",
+        "compiled echoes of dense air are looked for as late as they may come",
+        "torchweather.lidar.returns.compiled_calls",
+        "* (1.0 + SLACK) * densest",
+        "* (1.0 + SLACK)",
+        ("tests/lidar/test_detected_echoes.py::test_effects_on_signals_see_every_echo_that_they_may_raise",),
+    ),
+    Mutant(
         "compiled_echoes_of_one_arrival",
         "the next strongest particle arrives after the sum of two exponentials",
         "torchweather.lidar.returns.compiled_echoes",

@@ -82,18 +82,26 @@ def compiled_echoes(
 
     batch, count = reach_m.shape
     ranges, signals = (torch.zeros(batch, arrival.shape[1], count) for _ in range(2))
-    # A density moves the arrivals.
-    least = None if faintest is None or density is not None else float(faintest)
+    is_counted, densest = isinstance(part, BeamParticles), 1.0
+    least = None if faintest is None else float(faintest)
+    if density is not None and least is not None:
+        # d times as many particles arrive d times as early; fog of that density is d times as bright.
+        densest = max(float(density.max()), 1.0)
+        least, densest = (least, densest) if is_counted else (least / densest, 1.0)
     reach = array_of(reach_m)
     of_beams = NO_MAP if density is None else array_of(density)
     shares = max(1, min(threads_at_hand(), count // FEWEST_BEAMS))
     edges = [count * share // shares for share in range(shares + 1)]
     counts = np.zeros((batch, count), np.int32)
-    low, is_counted = np.float32(0.0 if faintest is None else float(faintest)), isinstance(part, BeamParticles)
+    low = np.float32(0.0 if faintest is None else float(faintest))
     tasks = []
+    is_shared, own = table.signal.stride(0) == 0, None  # one table of all samples
     for sample in range(batch):
         variates = array_of(arrival[sample]), array_of(place[sample])
-        own = part_of(part, beam, table.of_sample(sample), *variates, least)
+        if own is not None and is_shared:
+            own = own._replace(arrival=variates[0], at=variates[1])
+        else:
+            own = part_of(part, beam, table.of_sample(sample), *variates, least, densest)
         dense = of_beams[min(sample, len(of_beams) - 1)] if len(of_beams) else NO_ROW
         written = ranges[sample].numpy().T, signals[sample].numpy().T, counts[sample]
         call = partial(write_echoes, *written, reach[sample], dense, own, is_counted, low)
@@ -123,6 +131,7 @@ def part_of(
     arrival: Array,
     place: Array,
     faintest: float | None,
+    densest: float = 1.0,
 ) -> Part:
     """Returns of one kind of weather for one sample.
 
@@ -132,6 +141,7 @@ def part_of(
         table: of this sample.
         arrival, place: ``(echoes, N)`` its variates.
         faintest: signal of the faintest echo that counts; ``None`` counts every echo of the table.
+        densest: largest density of a beam over that of the weather.
     """
     from torchweather.lidar.returns.compiled_echoes import Part
 
@@ -145,7 +155,7 @@ def part_of(
     never = 2.0
     if faintest is not None:
         along = math.sqrt(faintest / photon_signal) if photon_signal > 0 else math.log(faintest)
-        never = _never(signal.reshape(table.places, ARRIVAL_NODES), (along - low) / step)
+        never = _never(signal.reshape(table.places, ARRIVAL_NODES), (along - low) / step, densest)
     axis = (
         *(1.0 / LATE_STEP, math.log(ARRIVAL_LOW) / LATE_STEP),
         *(grid.near_m, grid.scale_m, (grid.nodes - 1) / grid.stretch, grid.stretch / (grid.nodes - 1)),
@@ -156,16 +166,17 @@ def part_of(
     return Part(*flat, *sizes, *(np.float32(value) for value in axis))
 
 
-def _never(signal: Array, faintest: float) -> float:
+def _never(signal: Array, faintest: float, densest: float) -> float:
     """Variate of an arrival from which on no beam has an echo of a place on the axis of signals.
 
     Args:
         signal: ``(places, arrivals)``; it falls with the arrival.
         faintest: the place.
+        densest: factor by which particles may arrive later than of the weather.
     """
     counts = np.flatnonzero(signal.max(0) >= faintest - SLACK)
     last = 1 + int(counts[-1]) if counts.size else 0
     if last >= ARRIVAL_NODES - 1:
         return 2.0
-    arrival = ARRIVAL_LOW * math.exp(LATE_STEP * last) * (1.0 + SLACK)
+    arrival = ARRIVAL_LOW * math.exp(LATE_STEP * last) * (1.0 + SLACK) * densest
     return -math.expm1(-arrival) + 1e-7
