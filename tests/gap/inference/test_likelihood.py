@@ -249,10 +249,10 @@ def test_more_measured_frames_than_those_of_a_response_are_all_simulated() -> No
     search = search_of(tiny_study(rows=8, columns=32, clear=4, frames=10, weathers=WEATHERS))
     assert search.least_frames == 10 > METHOD.screen_frames
     assert search.pool_frames == 32
-    before = search.simulated_frames
-    (found,) = search.mean(ParameterPoint(), METHOD.screen_frames)
+    before, point = search.simulated_frames, ParameterPoint(log_intensity={"c0": 0.1})
+    (found,) = search.mean(point, METHOD.screen_frames)
     assert search.simulated_frames - before == 10
-    pool = search.pools(ParameterPoint(), 10)["c0"]
+    pool = search.pools(point, 10)["c0"]
     order = np.argsort(RNG([0, 104729, 0]).random((1, 10)), 1)
     np.testing.assert_array_equal(found, pool.vectors(order, search.measured[0].condition.time_s)[0])
     assert search.begin().nuisance.response.shape[0] == search.model.layout.size
@@ -328,6 +328,7 @@ def test_a_derivative_is_the_change_per_unit_of_the_parameter(null: SimulatorLik
     name = ("lidar.window_loss", "loss_db")
     points = [ParameterPoint({name[0]: {name[1]: value}}) for value in (1.0, 0.6, 1.4)]
     here, low, high = (null.mean(point, METHOD.screen_frames) for point in points)
+    null.kept = null._nothing_kept()
     before = null.simulated_frames
     found = null._derivative(points[0], name, here, null.start)
     assert null.simulated_frames - before == METHOD.screen_frames
@@ -433,3 +434,26 @@ def test_a_hidden_effect_raises_an_alarm_and_with_it_in_the_model_there_is_none(
     with_it = find_gap_with(LidarFrames(study, effects=[window]), effects=others)
     assert with_it.verdict == "none"
     assert with_it.global_test.misfit < 1.3 * with_it.global_test.counted < 0.5 * found.misfit
+
+
+def test_a_point_that_was_simulated_is_not_simulated_again(null: SimulatorLikelihood) -> None:
+    """Frames are kept by what they depend on: the effects, their parameters, the intensity and what is open."""
+    name = next(iter(null.open))
+    values = {"lidar.window_loss": {"loss_db": 0.77}}
+    points = [
+        ParameterPoint(values),
+        ParameterPoint({"lidar.window_loss": {"loss_db": 0.78}}),
+        ParameterPoint(values, {"c0": 0.01}),
+        ParameterPoint(values, open={name: 1.0}),
+    ]
+    means = [null.mean(point) for point in points]
+    before = null.simulated_frames
+    again = [null.mean(point) for point in points]
+    fewer = [null.mean(point, METHOD.screen_frames) for point in points]
+    assert null.simulated_frames == before
+    null.kept = null._nothing_kept()
+    for point, mean, same, few in zip(points, means, again, fewer, strict=True):
+        np.testing.assert_array_equal(mean, same)
+        np.testing.assert_array_equal(mean, null.mean(point))
+        np.testing.assert_array_equal(few, null.mean(point, METHOD.screen_frames))
+    assert not any(np.array_equal(means[0], other) for other in means[1:])

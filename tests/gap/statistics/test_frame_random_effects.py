@@ -75,7 +75,7 @@ def clear(scene: str, portions: int = 1) -> Reduced:
 def bare(clear_frames: Mapping[str, int] = CLEAR) -> SimulatorLikelihood:
     """A search that has simulated nothing."""
     found = SimulatorLikelihood.__new__(SimulatorLikelihood)
-    found.seed, found.pool_frames, found.least_frames, found.simulated_frames = 5, 48, 5, 0
+    found.seed, found.pool_frames, found.least_frames, found.open = 5, 48, 5, {}
     found.measured = [
         Observation(
             SimpleNamespace(id=name, scene=scene, rel_sd=0.1, time_s=None),  # type: ignore[arg-type]
@@ -86,7 +86,8 @@ def bare(clear_frames: Mapping[str, int] = CLEAR) -> SimulatorLikelihood:
         )
         for name, scene in SCENES.items()
     ]
-    found.model = SimpleNamespace(layout=LAYOUT, clear=clear)  # type: ignore[assignment]
+    found.model = SimpleNamespace(layout=LAYOUT, clear=clear, each_frame_alone=True)  # type: ignore[assignment]
+    found.kept, found._portioned_frames = found._nothing_kept(), 0
     found.start = base()
     return found
 
@@ -304,10 +305,12 @@ def test_every_point_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_re
         search.mean(point)
         search.mean(point, METHOD.screen_frames)
     assert (METHOD.probe_frames, METHOD.screen_frames) == (16, 6)
-    wanted = {(name, tuple(search.seeds(k, number))) for k, name in enumerate(SCENES) for number in (16, 6)}
+    # The first six are those of a response: none is simulated twice.
+    parts = slice(0, 6), slice(6, 16)
+    wanted = {(name, tuple(search.seeds(k, 16)[part])) for k, name in enumerate(SCENES) for part in parts}
     assert set(given) == wanted
     assert len(given) == 12
-    assert search.simulated_frames == 2 * 3 * (16 + 6)
+    assert search.simulated_frames == 2 * 3 * 16
 
 
 # ---- what effects leave unmodelled -------------------------------------------------------------------------------

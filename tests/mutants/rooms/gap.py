@@ -19,6 +19,22 @@ MUTANTS = (
         ("tests/gap/sensors/lidar/test_lidar_frames.py::test_compiled_sums_are_those_of_torch",),
     ),
     Mutant(
+        "compiled_particles_without_clusters",
+        "compiled sums of a LiDAR frame count particles with a neighbour",
+        "torchweather.gap.sensors.lidar.compiled_sums",
+        "if _has_neighbour(range_m, beam, bins):",
+        "if bins.columns < 0:",
+        ("tests/gap/sensors/lidar/test_lidar_frames.py::test_compiled_sums_are_those_of_torch",),
+    ),
+    Mutant(
+        "kept_frames_without_what_is_open",
+        "frames that are kept are told apart by what the model leaves open",
+        "torchweather.gap.inference.likelihood",
+        "(values, log_intensity, strengths, alike)",
+        "(values, log_intensity, alike)",
+        ("tests/gap/inference/test_likelihood.py::test_a_point_that_was_simulated_is_not_simulated_again",),
+    ),
+    Mutant(
         "ignored_parts_are_one_block",
         "a part that is ignored is the whole window of the check",
         "torchweather.gap.sensors.camera.scene_change",

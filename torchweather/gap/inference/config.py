@@ -44,6 +44,7 @@ class InferenceConfig:
     screen_frames: int = 6  # of each condition, for a response or a derivative; the first of the pool
     probe_frames: int = 16  # of each condition, for a cost
     probe_draws: int = 32  # of the vector of statistics, for a cost
+    kept_frames: int = 8192  # reduced, of all points; some 10 kB each
     intensity_grid_sd: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)  # starts of intensities, in their recorded sd
     systematic_step_sd: float = 2.0  # of a derivative by a systematic: a smaller step changes too few particles
     angle_step_rad: float = 0.025  # least step of a derivative by an angle: about one column

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from torchweather.core.threads import side_by_side
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import catalogue_effect, complexity_penalty, effect_class
+from torchweather.gap.inference.kept_frames import KeptFrames
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.simulated_distribution import (
     FrameModel,
@@ -34,7 +35,7 @@ from torchweather.gap.inference.simulated_distribution import (
 from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.gap.inference.systematics import Systematics, together
 from torchweather.gap.statistics.frame_random_effects import clear_errors, clear_means, frame_departures, model_errors
-from torchweather.gap.statistics.frame_statistics import COUNTED, TINY, Pool
+from torchweather.gap.statistics.frame_statistics import COUNTED, TINY, Pool, Reduced
 from torchweather.pipeline.effect import Effect
 
 __all__ = ["Fit", "SimulatorLikelihood", "ParameterPoint"]
@@ -107,7 +108,8 @@ class SimulatorLikelihood:
         self.model, self.measured, self.seed = model, list(measured), seed
         self.least_frames = max((target.frames for target in measured), default=1)
         self.pool_frames = max(pool_frames, 2 * self.least_frames)
-        self.simulated_frames = 0
+        self.kept = self._nothing_kept()
+        self._portioned_frames = 0
         self.open = {k: low for target in self.measured for k, low in model.open(target.condition).items()}
         self.noise = element_noise(
             self.pools(ParameterPoint(), METHOD.portioned_frames, METHOD.portions), self.measured
@@ -117,6 +119,21 @@ class SimulatorLikelihood:
         self.fixed: list[Floats] = []  # responses to nuisances that the simulator cannot be moved along
         self.start = self.at(ParameterPoint())
         self.origin = ParameterPoint()
+
+    def _nothing_kept(self) -> dict[str, KeptFrames]:
+        # Frames of a model in which they depend on each other are those of one number of frames.
+        ends = (METHOD.screen_frames, METHOD.probe_frames, self.pool_frames) if self._frames_are_alone else ()
+        most = METHOD.kept_frames // max(len(self.measured), 1)
+        return {name: KeptFrames(ends, most) for name in self._names}
+
+    @property
+    def _frames_are_alone(self) -> bool:
+        return bool(getattr(self.model, "each_frame_alone", False))
+
+    @property
+    def simulated_frames(self) -> int:
+        """Number of frames that were simulated."""
+        return self._portioned_frames + sum(one.simulated for one in self.kept.values())
 
     def begin(self) -> Fit:
         """Fit the nuisances of the model as it is; the search then starts from there."""
@@ -155,14 +172,24 @@ class SimulatorLikelihood:
             name = target.condition.id
             seeds = self.seeds(place, number)
             log_intensity = point.log_intensity.get(name, 0.0)
-            stages = [*effects, *self.model.systematics(target.condition, point.open)]
-            reduced = self.model.simulated(target.condition, stages, log_intensity, seeds, portions)
-            # In portions each frame has several rows, which are not looked at by the frame that they started from.
-            begun = np.array(seeds) % target.clear_frames if portions == 1 else None
-            found[name] = Pool(self.model.layout, reduced, begun)
+            systematics = self.model.systematics(target.condition, point.open)
+
+            def simulated(some: slice) -> Reduced:
+                stages = [*effects, *systematics]
+                return self.model.simulated(target.condition, stages, log_intensity, seeds[some], portions)
+
+            if portions > 1:
+                # Each frame has several rows, which are not looked at by the frame that they started from.
+                found[name] = Pool(self.model.layout, simulated(slice(None)))
+                return
+            values = tuple((effect, *own.items()) for effect, own in point.values.items())
+            strengths = tuple(point.open.get(one, 0.0) for one in self.open) if systematics else ()
+            alike = None if self._frames_are_alone else number
+            reduced = self.kept[name].first((values, log_intensity, strengths, alike), number, simulated)
+            found[name] = Pool(self.model.layout, reduced, np.array(seeds) % target.clear_frames)
 
         side_by_side([partial(simulate, place, target) for place, target in enumerate(self.measured)])
-        self.simulated_frames += number * len(self.measured)
+        self._portioned_frames += number * len(self.measured) if portions > 1 else 0
         # In the order of the conditions, whichever thread was done first: random draws follow it.
         return {name: found[name] for name in self._names}
 

@@ -108,7 +108,11 @@ class FrameModel(Protocol):
         seeds: Sequence[int],
         portions: int = 1,
     ) -> Reduced:
-        """Simulated frames of the condition, one for each seed; each in so many portions of its elements."""
+        """Simulated frames of the condition, one for each seed; each in so many portions of its elements.
+
+        A model whose frames each depend on their own seed alone has ``each_frame_alone = True``: a few of them are then
+        the first ones of many, and are simulated once.
+        """
         ...
 
 

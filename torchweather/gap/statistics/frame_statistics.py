@@ -166,11 +166,18 @@ class Reduced:
     def __len__(self) -> int:
         return len(self.weight)
 
+    def __getitem__(self, some: slice) -> Reduced:
+        """Some of the frames."""
+        return Reduced(*(values[some] for values in self._parts))
+
+    @property
+    def _parts(self) -> tuple[Floats, ...]:
+        return self.weight, self.value, self.square, self.scalar, self.maps
+
     @classmethod
     def joined(cls, parts: Sequence[Reduced]) -> Reduced:
         """The frames of several, one after the other."""
-        names = ("weight", "value", "square", "scalar", "maps")
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return cls(*(np.concatenate(of_all) for of_all in zip(*(part._parts for part in parts), strict=True)))
 
 
 class Pool:

@@ -15,7 +15,7 @@ from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -73,6 +73,8 @@ class CameraFrames:
     Raises:
         TorchweatherError: a scene has a single clear frame, or is another one in weather.
     """
+
+    each_frame_alone: ClassVar[bool] = True
 
     def __init__(
         self,

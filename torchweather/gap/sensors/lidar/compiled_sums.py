@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torchweather.core.compiled import jit
 from torchweather.core.compiled_math import log_of_sum
 
-__all__ = ["Surfaces", "sum_frame"]
+__all__ = ["ParticleBins", "Surfaces", "sum_frame", "sum_particles"]
 
 Array = NDArray[np.float32]
 Places = NDArray[np.int32]
@@ -43,6 +43,33 @@ class Surfaces(NamedTuple):
     tolerance_m: np.float32
     noise_m: np.float32
     faintest: np.float32
+
+
+class ParticleBins(NamedTuple):
+    """What particles of a frame are counted along.
+
+    Args:
+        stable, empty: places of the beams that see a surface, and of those that see nothing, in clear air.
+        bin, ring: ``(ticks,)`` bin of a range, and ring of the map.
+        sector: ``(N,)`` of the map, of each beam.
+        rings: of the map.
+        ticks_per_m: of a range.
+        rows, columns: of the scan.
+        within_m: of a neighbour's range, that makes a cluster.
+        faintest: intensity, at least.
+    """
+
+    stable: Places
+    empty: Places
+    bin: Places
+    ring: Places
+    sector: Places
+    rings: int
+    ticks_per_m: int
+    rows: int
+    columns: int
+    within_m: np.float32
+    faintest: float
 
 
 @jit
@@ -127,3 +154,75 @@ def sum_frame(
                 row[3] += dark
                 row[4] += ratio
                 row[5] += ratio * ratio
+
+
+@jit
+def _has_neighbour(range_m: Array, beam: int, bins: ParticleBins) -> bool:
+    """True where one of the eight neighbours of a return has nearly its range; as ``has_neighbour``."""
+    row, column, own_m = beam // bins.columns, beam % bins.columns, range_m[beam]
+    for up in range(-1, 2):
+        beside_row = row + up
+        if beside_row < 0 or beside_row >= bins.rows:
+            continue
+        for aside in range(-1, 2):
+            if up == 0 and (aside == 0 or bins.columns == 1):
+                continue
+            other_m = range_m[beside_row * bins.columns + (column + aside) % bins.columns]
+            if other_m > ZERO and abs(other_m - own_m) < bins.within_m:
+                return True
+    return False
+
+
+@jit
+def _add_particle(
+    sums: NDArray[np.float64],
+    maps: NDArray[np.float64],
+    range_m: Array,
+    intensity: Array,
+    beam: int,
+    is_before: bool,
+    bins: ParticleBins,
+) -> None:
+    tick = min(int(range_m[beam] * np.float32(bins.ticks_per_m)), bins.bin.size - 1)
+    place = bins.bin[tick]
+    sums[1 if is_before else 2, place] += 1.0
+    sums[3, place] += 1.0
+    if _has_neighbour(range_m, beam, bins):
+        sums[4, place] += 1.0
+    if intensity[beam] > ZERO:
+        level = np.log(max(np.float64(intensity[beam]), bins.faintest))
+        sums[5, place] += 1.0
+        sums[7, place] += level
+        sums[8, place] += level * level
+    else:
+        sums[6, place] += 1.0
+    maps[bins.sector[beam] * bins.rings + bins.ring[tick]] += 1.0
+
+
+@jit
+def sum_particles(
+    sums: NDArray[np.float64],
+    maps: NDArray[np.float64],
+    range_m: Array,
+    intensity: Array,
+    before: NDArray[np.bool_],
+    bins: ParticleBins,
+) -> None:
+    """Add up the particles of one frame.
+
+    Args:
+        sums: ``(9, bins)``, written: frame, before, of_empty, particle, clustered, bright_particle, dark_particle,
+            level, level2, as in ``sums.py``.
+        maps: ``(cells,)``, written: their number.
+        range_m, intensity: ``(N,)`` of the frame, 0 where no return.
+        before: ``(S,)`` stable beams that see a particle.
+        bins: along which they are counted.
+    """
+    for place in range(sums.shape[1]):
+        sums[0, place] = 1.0
+    for at in range(before.size):
+        if before[at]:
+            _add_particle(sums, maps, range_m, intensity, bins.stable[at], True, bins)
+    for at in range(bins.empty.size):
+        if range_m[bins.empty[at]] > ZERO:
+            _add_particle(sums, maps, range_m, intensity, bins.empty[at], False, bins)

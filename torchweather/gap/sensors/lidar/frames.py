@@ -7,17 +7,19 @@ which axes). A simulated frame starts from a clear frame of its scene that its s
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.core.recent import Recent
 from torchweather.gap.inference.effect_forms import searched_effects
 from torchweather.gap.sensors.lidar.forms import LIDAR_FORMS
 from torchweather.gap.sensors.lidar.scene import LidarScene, lidar_scene
@@ -33,13 +35,13 @@ from torchweather.gap.statistics.frame_random_effects import widened
 from torchweather.gap.statistics.frame_statistics import Reduced
 from torchweather.gap.study.study import Condition, Study
 from torchweather.lidar.effects.all import EFFECTS
-from torchweather.lidar.faintest_echo import particle_gain, through_stages
+from torchweather.lidar.faintest_echo import particle_gain, run_stages
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.stages import Extinction, ParticleReturns, ToEnergy, ToPoints
 from torchweather.lidar.state import LidarState
 from torchweather.lidar.transform import LidarWeather
-from torchweather.pipeline.chain import Chain
 from torchweather.pipeline.effect import Effect, with_effects
+from torchweather.pipeline.stage import Stage
 
 __all__ = ["LidarFrames"]
 
@@ -65,6 +67,8 @@ class LidarFrames:
         effects: that the model has already.
         named: ids of effects that are searched for although the catalogue leaves them out.
     """
+
+    each_frame_alone: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -103,9 +107,9 @@ class LidarFrames:
             "saturation": max(float(scene.intensity.max()) for scene in self.scenes.values())
         }
         self.transforms: dict[str, LidarWeather] = {}
-        self._kept: dict[object, LidarState] = {}
-        self._drawn: dict[object, dict[str, Tensor]] = {}
-        self._lock = threading.Lock()
+        self._orders: dict[tuple[str, ...], list[str]] = {}
+        self._kept = Recent[LidarState](KEPT)
+        self._drawn = Recent[dict[str, Tensor]](DRAWN)
 
     # ---- frames --------------------------------------------------------------------------------------------------
 
@@ -197,8 +201,9 @@ class LidarFrames:
         """
         scene = self.scenes[condition.scene]
         parts = []
-        for first in range(0, len(seeds), TOGETHER):
-            some = list(seeds[first : first + TOGETHER])
+        edges = np.linspace(0, len(seeds), math.ceil(len(seeds) / TOGETHER) + 1).round().astype(int)
+        for first, last in pairwise(edges):
+            some = list(seeds[first:last])
             row = torch.tensor([seed % len(scene.range_m) for seed in some])
             with torch.no_grad():
                 out = self._through(condition, scene, row, effects, log_intensity, some)
@@ -216,78 +221,74 @@ class LidarFrames:
     ) -> tuple[Tensor, Tensor]:
         """Range and intensity ``(F, N)`` that come out of the chain."""
         transform = self.transform(condition)
-        chain = with_effects(transform.chain, [*self.effects, *(one for one in effects if one.id in EFFECTS)])
-        others = [one for one in effects if one.id not in EFFECTS]
-        if scene.reading_std > 0:
-            others.append(ParticleReading(std=min(scene.reading_std, 1.0)))
-        for one in others:  # of lidar_nuisance.py
-            chain = chain.insert(one, before={"particle_returns": "detection"}.get(one.after, "to_points"))
-        # What comes before the first effect of the catalogue is the same for all settings of it: kept.
-        names = [name for name in chain.stages if name != ToPoints.default_name]
+        stages = self._stages(transform, scene, effects)
+        names = [name for name in stages if name != ToPoints.default_name]
+        # What comes before the first effect of the catalogue is the same for all settings of it, and what the
+        # particles send back for all that is done to it: kept.
         own = [names.index(one.default_name) for one in effects if one.id in EFFECTS]
         first = min(own, default=len(names))
-        before = tuple(
-            (name, str(chain.stages[name].config())) for name in names[:first] if name not in transform.chain.stages
-        )
-        after = list(chain.stages.values())
-        at = next((place for place, stage in enumerate(after) if isinstance(stage, ParticleReturns)), len(after))
-        gain = _stepped(particle_gain(after[at + 1 :]))
-        key = (condition.id, log_intensity, tuple(seeds), first, before, gain)
-        kept = self._kept.get(key)
-        if kept is None:
+        every = list(stages.values())
+        at = next((place for place, stage in enumerate(every) if isinstance(stage, ParticleReturns)), len(every))
+        gain = _stepped(particle_gain(every[at + 1 :]))
+        usual = transform.chain.stages
+        added = [(name, str(stages[name].config())) for name in names[:first] if name not in usual]
+
+        def key(end: int) -> object:
+            weather = (log_intensity, gain) if end > 1 else ()
+            return condition.id, tuple(seeds), weather, end, tuple(one for one in added if one[0] in names[:end])
+
+        state, begun = None, 0
+        ends = sorted({1, *(end for end in (at + 1, *own) if at < end <= first)})
+        for end in reversed(ends):
+            state = self._kept.get(key(end))
+            if state is not None:
+                begun = end
+                break
+        if state is None:
             # The scale of a frame is one of the reading: detection does not know of it.
             range_m, intensity = scene.range_m[row], scene.intensity[row] / scene.gain[row, None]
             points = torch.cat([self.direction * range_m[..., None], intensity[..., None]], -1)
             state = transform.state_of(points, self.direction)
             state = state.changed(grid=self.grid, cos_incidence=_row(scene.cos_incidence), up=_row(scene.up))
-            kept = self._part(chain, condition, log_intensity, state, seeds, gain, 0, first)
-            if own:
-                self._keep(key, kept)
-        state = self._part(chain, condition, log_intensity, kept, seeds, gain, first, len(names))
-        last = chain.stages[ToPoints.default_name]
+        for end in [*(one for one in ends if one > begun), len(names)]:
+            part = [(name, stages[name]) for name in names[begun:end]]
+            noise_of = partial(self._noise, stages, condition, state, seeds)
+            with _intensity([stage for _, stage in part], condition, log_intensity):
+                state = run_stages(part, state, noise_of, gain)
+            begun = end
+            if end in ends:
+                self._kept.put(key(end), state)
+        last = stages[ToPoints.default_name]
         assert isinstance(last, ToPoints)
-        range_m, intensity = last.measurement(state, self._noise(chain, last.default_name, condition, state, seeds))
+        range_m, intensity = last.measurement(state, self._noise(stages, condition, state, seeds, last.default_name))
         return range_m, intensity * scene.gain[row, None]
 
-    def _part(
-        self,
-        chain: Chain,
-        condition: Condition,
-        log_intensity: float,
-        state: LidarState,
-        seeds: list[int],
-        gain: float,
-        *ends: int,
-    ) -> LidarState:
-        """The state after some of the stages of a chain."""
-        part = Chain(dict(list(chain.stages.items())[slice(*ends)]))
-        noise = {
-            f"{name}.{variate}": drawn
-            for name in part.stages
-            for variate, drawn in self._noise(part, name, condition, state, seeds).items()
-        }
-        with _intensity(part, condition, log_intensity):
-            return through_stages(part, state, noise, gain)
+    def _stages(self, transform: LidarWeather, scene: LidarScene, effects: Sequence[Effect]) -> dict[str, Stage]:
+        """Stages of the transform, of the model's effects and of others, by name, in the order in which they run."""
+        catalogued = [*self.effects, *(one for one in effects if one.id in EFFECTS)]
+        others = [one for one in effects if one.id not in EFFECTS]
+        if scene.reading_std > 0:
+            others.append(ParticleReading(std=min(scene.reading_std, 1.0)))
+        stages: dict[str, Stage] = {one.default_name: one for one in (*catalogued, *others)}
+        order = self._orders.get(tuple(stages))
+        if order is None:
+            chain = with_effects(transform.chain, catalogued)
+            for one in others:  # of systematics.py
+                chain = chain.insert(one, before={"particle_returns": "detection"}.get(one.after, "to_points"))
+            self._orders[tuple(stages)] = order = list(chain.stages)
+        usual = transform.chain.stages
+        return {name: stages[name] if name in stages else usual[name] for name in order}
 
     def _noise(
-        self, chain: Chain, name: str, condition: Condition, state: LidarState, seeds: list[int]
+        self, stages: Mapping[str, Stage], condition: Condition, state: LidarState, seeds: list[int], name: str
     ) -> dict[str, Tensor]:
         """Random numbers of a stage for the frames of some seeds, kept: they depend on its name alone."""
         key = (condition.id, name, tuple(seeds))
         drawn = self._drawn.get(key)
         if drawn is None:
-            drawn = chain.stages[name].draw(state, seed=torch.tensor(seeds), name=name)
-            with self._lock:
-                while len(self._drawn) >= DRAWN:
-                    self._drawn.pop(next(iter(self._drawn)))
-                self._drawn[key] = drawn
+            drawn = stages[name].draw(state, seed=torch.tensor(seeds), name=name)
+            self._drawn.put(key, drawn)
         return drawn
-
-    def _keep(self, key: object, state: LidarState) -> None:
-        with self._lock:
-            while len(self._kept) >= KEPT:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = state
 
     def reduce(self, scene_id: str, range_m: Tensor, intensity: Tensor, row: Tensor, portions: int = 1) -> Reduced:
         """Sums of frames ``(F, N)`` of a scene; arguments as ``LidarSums``."""
@@ -310,12 +311,12 @@ def _stepped(gain: float) -> float:
 
 
 @contextmanager
-def _intensity(chain: Chain, condition: Condition, log_intensity: float) -> Iterator[None]:
-    """Rate or visibility times ``exp(log_intensity)`` in all stages of a chain, while the block lasts."""
+def _intensity(stages: Sequence[Stage], condition: Condition, log_intensity: float) -> Iterator[None]:
+    """Rate or visibility times ``exp(log_intensity)`` in some stages, while the block lasts."""
     weather = condition.weather
     assert weather is not None
     changed = []
-    for stage in chain.stages.values():
+    for stage in stages:
         if isinstance(stage, (Extinction, ParticleReturns)):
             for part in weather.parts:
                 buffers = stage.parts[part.kind]

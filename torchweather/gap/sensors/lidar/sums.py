@@ -53,6 +53,7 @@ SUMS = {
 }
 OF_SURFACES = ("lost", "before", "beyond", "dark", "ratio", "ratio2")
 OF_THE_SAME = ("apart", "apart2", "wide", "wide2", "even", "even2")
+COUNTS = ("stable", "same", "bright")  # beams, those that see the surface, and of these with an intensity
 OF_PARTICLES = (
     *("frame", "before", "of_empty", "particle", "clustered"),
     *("bright_particle", "dark_particle", "level", "level2"),
@@ -174,6 +175,17 @@ class _Beams:
         return torch.cat(parts, 3).transpose(1, 2).flatten(0, 1)
 
 
+def _beside(number: Tensor, summed: Tensor) -> Tensor:
+    """Sums ``(F, R, bins)`` with another row."""
+    return torch.cat([summed, number[:, None]], 1)
+
+
+def _with_counts(number: Tensor, summed: Tensor) -> Tensor:
+    """Sums of surfaces ``(F, R, bins)``, with ``COUNTS`` in the last rows; ``number`` of stable beams ``(F, bins)``."""
+    same = number - summed[:, : OF_SURFACES.index("dark")].sum(1)
+    return torch.cat([summed, torch.stack([number, same, same - summed[:, OF_SURFACES.index("dark")]], 1)], 1)
+
+
 class LidarSums:
     """Reduces frames of one scene.
 
@@ -204,7 +216,29 @@ class LidarSums:
         sector = (azimuth + math.pi) / (2.0 * math.pi) * MAP_SECTORS
         self._sector = sector.long().clamp(0, MAP_SECTORS - 1)
         self._portion: dict[int, Tensor] = {}
+        self._places = self._places_of_sums()
+        self._entries = [
+            torch.cat([self._places[SUMS[group.statistic][which], group.axis] for group in layout.binned])
+            for which in range(3)
+        ]
         self._compiled_surfaces: dict[int, Surfaces] = {}
+
+    def _places_of_sums(self) -> dict[tuple[str, str], Tensor]:
+        """Where the sums of a value along an axis stand among all sums of a frame."""
+        blocks = (
+            (self.surfaces.place, (*OF_SURFACES, *OF_THE_SAME, *COUNTS)),
+            (self.standing.place, (*OF_SURFACES, *COUNTS)),
+            (self.nothing.place, ("of_empty", "empty")),
+            ({"particle_range_m": slice(0, len(PARTICLE_RANGE_M) - 1)}, OF_PARTICLES),
+        )
+        found, start = {}, 0
+        for axes, names in blocks:
+            bins = max((place.stop for place in axes.values()), default=0)
+            for line, name in enumerate(names):
+                for axis, place in axes.items():
+                    found[name, axis] = start + line * bins + torch.arange(place.start, place.stop)
+            start += len(names) * bins
+        return found
 
     def __call__(self, range_m: Tensor, intensity: Tensor, row: Tensor, portions: int = 1) -> Reduced:
         """Sums of frames ``(F, N)``.
@@ -219,27 +253,13 @@ class LidarSums:
         portion = self._portions(range_m.shape[1], portions)
         before, of_surfaces, of_standing = self._of_surfaces(range_m, intensity, row, portion, portions)
         particles, maps, near = self._particles(range_m, intensity, before, of_empty, portion, portions)
-        sums: dict[tuple[str, str], Tensor] = {}  # of a value along an axis, ``(F, bins)``
-        empty = of_empty[:, None].float()
-        for beams, names, (number, summed) in (
-            (self.surfaces, (*OF_SURFACES, *OF_THE_SAME), of_surfaces),
-            (self.standing, OF_SURFACES, of_standing),
-            (self.nothing, ("of_empty",), self.nothing.summed(empty, row, portion, portions)),
-        ):
-            for axis, place in beams.place.items():
-                sums |= {(name, axis): summed[:, line, place] for line, name in enumerate(names)}
-                sums["empty" if beams is self.nothing else "stable", axis] = number[:, place]
-        for name, values in zip(OF_PARTICLES, particles.unbind(1), strict=True):
-            sums[name, "particle_range_m"] = values
-        for axis in (*self.surfaces.place, *self.standing.place):
-            elsewhere = sums["lost", axis] + sums["before", axis] + sums["beyond", axis]
-            sums["same", axis] = sums["stable", axis] - elsewhere
-            sums["bright", axis] = sums["same", axis] - sums["dark", axis]
-        weight, value, square = (
-            torch.cat([sums[SUMS[group.statistic][which], group.axis] for group in self.layout.binned], 1).numpy()
-            for which in range(3)
-        )
-        total = {name: sums[name, "azimuth_rad"].sum(1) for name in ("stable", "lost", "bright", "ratio")}
+        number, summed = self.nothing.summed(of_empty[:, None].float(), row, portion, portions)
+        blocks = (_with_counts(*of_surfaces), _with_counts(*of_standing), _beside(number, summed), particles)
+        sums = torch.cat([block.flatten(1) for block in blocks], 1)
+        weight, value, square = (sums[:, place].numpy() for place in self._entries)
+        total = {
+            name: sums[:, self._places[name, "azimuth_rad"]].sum(1) for name in ("stable", "lost", "bright", "ratio")
+        }
         scalar = torch.stack(
             [
                 torch.asin(((total["lost"] + 0.375) / (total["stable"] + 0.75)).sqrt()),
@@ -339,6 +359,8 @@ class LidarSums:
         portions: int,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Sums of particles over range ``(F, rows, bins)``, their map ``(F, cells)``, number of near ones ``(F,)``."""
+        if portions == 1 and uses_compiled():
+            return self._compiled_particles(range_m, intensity, before)
         frame_1, place_1 = before.nonzero(as_tuple=True)
         frame_2, place_2 = of_empty.nonzero(as_tuple=True)
         frame = torch.cat([frame_1, frame_2])
@@ -367,6 +389,24 @@ class LidarSums:
         maps = torch.bincount(sector * rings + self._ring[tick], None, slots * MAP_SECTORS * rings).double()
         maps = maps.reshape(slots, MAP_SECTORS, rings)
         return torch.stack([everywhere, *particles], 1), maps.flatten(1), maps[..., 0].sum(1)
+
+    def _compiled_particles(self, range_m: Tensor, intensity: Tensor, before: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """As ``_particles``, by compiled loops."""
+        from torchweather.gap.sensors.lidar.compiled_sums import ParticleBins, sum_particles
+
+        stable, empty, of_tick, ring, sector = (
+            values.int().numpy()
+            for values in (self.surfaces.beam, self.nothing.beam, self._bin, self._ring, self._sector)
+        )
+        along = (stable, empty, of_tick, ring, sector, len(MAP_RANGES_M) - 1, TICKS_PER_M)
+        own = ParticleBins(*along, *self.grid, np.float32(CLUSTER_M), FAINTEST)
+        sums = np.zeros((len(range_m), len(OF_PARTICLES), len(PARTICLE_RANGE_M) - 1))
+        maps = np.zeros((len(range_m), MAP_SECTORS * own.rings))
+        ranges, levels = (values.float().contiguous().numpy() for values in (range_m, intensity))
+        for frame, seen in enumerate(before.numpy()):
+            sum_particles(sums[frame], maps[frame], ranges[frame], levels[frame], seen, own)
+        found = torch.from_numpy(maps)
+        return torch.from_numpy(sums), found, found.reshape(len(range_m), MAP_SECTORS, -1)[..., 0].sum(1)
 
     def _portions(self, beams: int, portions: int) -> Tensor:
         """Portion of each beam ``(N,)``."""
