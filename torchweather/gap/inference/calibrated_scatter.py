@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,8 +188,16 @@ def log_sd_variance(number: int, variance: float, steady: float) -> float:
         >>> round(log_sd_variance(6, 1.0, 0.0), 3)  # a quarter of the trigamma of 5/2
         0.122
     """
-    values = chi2.ppf((np.arange(METHOD.quantiles) + 0.5) / METHOD.quantiles, max(number - 1, 1)) / max(number - 1, 1)
+    values = _squares_over_variance(max(number - 1, 1))
     return float((0.5 * np.log(values * variance + max(steady, TINY) ** 2)).var())
+
+
+@lru_cache(maxsize=64)
+def _squares_over_variance(degrees: int) -> Floats:
+    """Quantiles ``(METHOD.quantiles,)`` of an estimated variance over the true one."""
+    found: Floats = chi2.ppf((np.arange(METHOD.quantiles) + 0.5) / METHOD.quantiles, degrees) / degrees
+    found.flags.writeable = False
+    return found
 
 
 def _scatter(
