@@ -113,7 +113,7 @@ def read_echoes(
 
 
 def _receiver(sensor: Lidar, threshold: float = 0.0) -> Receiver:
-    """What detection and reading look at of a sensor; the rest is 0."""
+    """Numbers of a sensor that detection and reading look at; the others are 0."""
     from torchweather.lidar.compiled_beams import UNITS, Receiver
 
     single = {

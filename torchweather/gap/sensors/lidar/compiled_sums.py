@@ -46,7 +46,7 @@ class Surfaces(NamedTuple):
 
 
 class ParticleBins(NamedTuple):
-    """What particles of a frame are counted along.
+    """Axes along which the particles of a frame are counted.
 
     Args:
         stable, empty: places of the beams that see a surface, and of those that see nothing, in clear air.

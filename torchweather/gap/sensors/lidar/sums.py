@@ -224,7 +224,7 @@ class LidarSums:
         self._compiled_surfaces: dict[int, Surfaces] = {}
 
     def _places_of_sums(self) -> dict[tuple[str, str], Tensor]:
-        """Where the sums of a value along an axis stand among all sums of a frame."""
+        """Places of the sums of a value along an axis among all sums of a frame."""
         blocks = (
             (self.surfaces.place, (*OF_SURFACES, *OF_THE_SAME, *COUNTS)),
             (self.standing.place, (*OF_SURFACES, *COUNTS)),
