@@ -40,6 +40,13 @@ def radar(tmp_path_factory: pytest.TempPathFactory) -> Written:
     return folder, wet, validation
 
 
+@pytest.fixture(scope="module")
+def short(radar: Written) -> tuple[Study, Validation]:
+    """One condition and one score, whose page is drawn in a second."""
+    study = replace(radar[1], conditions=radar[1].conditions[:1])
+    return study, validate(study, seed=3, names=["power_change_db"])
+
+
 def weaker(frame: Any) -> Any:
     return {**frame, "power_db": frame["power_db"] - 6.0}
 
@@ -87,8 +94,10 @@ def test_the_json_holds_what_was_found(radar: Written) -> None:
     assert len(summary["trends"]) == 3
 
 
-def test_errors_of_the_study_stand_beside_the_verdict(radar: Written, tmp_path: Path) -> None:
-    _, study, validation = radar
+def test_errors_of_the_study_stand_beside_the_verdict(
+    radar: Written, short: tuple[Study, Validation], tmp_path: Path
+) -> None:
+    study, validation = short
     broken = Finding("error", "Frames stand twice.", "Their <scatter> is not known.", "Take others.")
     write_validation(tmp_path / "page", study, replace(validation, findings=(broken,)))
     header = text_of(tmp_path / "page").partition("</header>")[0]
@@ -96,8 +105,8 @@ def test_errors_of_the_study_stand_beside_the_verdict(radar: Written, tmp_path: 
     assert "cannot be trusted" not in text_of(radar[0])
 
 
-def test_a_self_check_says_that_nothing_was_measured(radar: Written, tmp_path: Path) -> None:
-    _, study, validation = radar
+def test_a_self_check_says_that_nothing_was_measured(short: tuple[Study, Validation], tmp_path: Path) -> None:
+    study, validation = short
     write_validation(tmp_path / "page", study, validation, self_check=True)
     assert "Nothing was measured here" in text_of(tmp_path / "page")
 
@@ -142,11 +151,13 @@ def test_a_return_in_front_is_told_from_one_that_stayed() -> None:
     assert len({same, jitter, nearer}) == 3
 
 
-def test_a_failure_leaves_no_file(radar: Written, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_leaves_no_file(
+    short: tuple[Study, Validation], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def stop(*_: object, **__: object) -> str:
         raise RuntimeError("disk on fire")
 
     monkeypatch.setattr(validation_page, "write_report", stop)
     with pytest.raises(RuntimeError, match="disk on fire"):
-        write_validation(tmp_path / "a" / "b", radar[1], radar[2])
+        write_validation(tmp_path / "a" / "b", *short)
     assert list(tmp_path.iterdir()) == []
