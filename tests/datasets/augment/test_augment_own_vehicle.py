@@ -49,10 +49,10 @@ def manifest(target: Path) -> tuple[dict[str, str], dict[str, Row]]:
 
 
 def test_a_drive_gets_a_mask_for_any_number_of_workers(source: Path, recipe: str, tmp_path: Path) -> None:
-    for workers in (0, 2):
+    for workers in (0, 1):  # two of them: test_killed.py
         summary = augment(source, tmp_path / f"out{workers}", recipe, workers=workers)
         assert not summary.broken
-    assert results(tmp_path / "out0") == results(tmp_path / "out2")
+    assert results(tmp_path / "out0") == results(tmp_path / "out1")
     settings, rows = manifest(tmp_path / "out0")
     kept = json.loads(settings["own_vehicle_masks"])
     assert list(kept) == ["drive/"]  # two sweeps are too few

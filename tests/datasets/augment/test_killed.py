@@ -78,7 +78,7 @@ print("attempt", *recorded(), flush=True)
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_killed_at_any_moment_it_loses_nothing_and_repeats_nothing(tmp_path: Path) -> None:
-    source, file = folder(tmp_path / "clear", 8), recipe(tmp_path)
+    source, file = folder(tmp_path / "clear", 4), recipe(tmp_path)
     done = subprocess.run(
         [sys.executable, "-c", KILLER, str(source), str(tmp_path / "killed"), file, str(tmp_path / "unbroken")],
         env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
@@ -96,8 +96,8 @@ def test_killed_at_any_moment_it_loses_nothing_and_repeats_nothing(tmp_path: Pat
             recorded, attempts = set(names), attempts + 1
         else:
             assert names[0] not in recorded  # nothing is repeated
-    assert attempts > 8
-    assert len(recorded) == 9
+    assert attempts > 6  # killed twice in each of three ways
+    assert len(recorded) == 5
     assert tree(tmp_path / "killed") == tree(tmp_path / "unbroken")
 
 

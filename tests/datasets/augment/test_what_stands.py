@@ -173,7 +173,7 @@ def test_a_damaged_manifest_is_an_error_of_ours_and_restart_begins_again(tmp_pat
     run(source, target)
     whole = (target / MANIFEST).read_bytes()
     codes = []
-    for number in range(60):
+    for number in range(30):
         damaged(target / MANIFEST, random.Random(number))
         codes.append(command(source, target, "--quiet", "--dry-run"))
         capsys.readouterr()
