@@ -294,9 +294,10 @@ KNOWN = {
 )
 def test_intervals_of_90_percent_cover(kind: str, studies: int) -> None:
     held: dict[str, list[bool]] = {}
+    drawn = 100 if studies >= 100 else 50
     for seed in range(studies):
         study, truth = KNOWN[kind](1000 + seed)
-        for name, each in by_name(fit_weather(study, bootstrap=100)).items():
+        for name, each in by_name(fit_weather(study, bootstrap=drawn)).items():
             held.setdefault(name, []).append(each.intensity.low <= truth <= each.intensity.high)
     for name, inside in held.items():
         # 85 %, less two binomial errors of so few studies.

@@ -115,14 +115,14 @@ NAMES = {"camera": ["psnr"], "lidar": ["mde", "sdm"], "radar": None}
 
 
 @lru_cache
-def ten_frames(kind: str, weathers: tuple[Weather, ...]) -> Study:
-    """A simulated study of ten frames a condition."""
+def ten_frames(kind: str, weathers: tuple[Weather, ...], frames: int = 10) -> Study:
+    """A simulated study of ten frames a condition, or fewer."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(embedded, "CAMERA_PX", (48, 36))
         patch.setattr(embedded, "RINGS", 16)
         patch.setattr(embedded, "COLUMNS", 64)
         patch.setattr(embedded, "WEATHERS", weathers)
-        return embedded_study(kind, clear_frames=4, frames=10)
+        return embedded_study(kind, clear_frames=4, frames=frames)
 
 
 def simulated(kind: str, factor: float, weathers: tuple[Weather, ...]) -> Validation:
@@ -276,7 +276,7 @@ def test_effects_need_power() -> None:
 
 @pytest.mark.parametrize("kind", ["camera", "lidar", "radar"])
 def test_an_effect_at_its_identity_changes_no_simulated_frame(kind: str) -> None:
-    study = ten_frames(kind, WHOLE[1:2])
+    study = ten_frames(kind, WHOLE[1:2], 1)
     condition = study.conditions[0]
     tried = named_effects(kind, [f"{kind}.{IDENTITIES[kind]}"], "test")[0]
     plain = simulate(study, condition, seed=3)

@@ -142,11 +142,11 @@ def test_measured_and_simulated_frames_share_their_clear_frame() -> None:
 
 def test_two_runs_of_one_model_agree() -> None:
     differ = 0
-    for seed in range(6):
+    for seed in range(3):
         study = embedded_study("radar", seed=seed)
         differ += validate(study, seed=100 + seed, names=POWERS, power=False).counts()["differ"] > 0
-    # Each study is called different with a chance of 5 % at most: more than 2 of 6 with 0.2 %.
-    assert differ <= 2
+    # Each study is called different with a chance of 5 % at most: more than 1 of 3 with 0.7 %.
+    assert differ <= 1
 
 
 @pytest.mark.parametrize(("kind", "names"), [("lidar", ["mde", "hd95"]), ("camera", ["psnr", "gmsd"])])
