@@ -20,7 +20,7 @@ from torchweather.scenes.object_boxes import object_boxes
 from torchweather.scenes.pose import checked_pose
 from torchweather.scenes.scene import Part, Scene
 
-__all__ = ["ROOF_MOUNT_M", "LidarView", "lidar_view", "reported_intensity"]
+__all__ = ["ROOF_MOUNT_M", "BeamHits", "LidarView", "beam_hits", "lidar_view", "reported_intensity"]
 
 # On the roof, above the origin of the vehicle frame and its camera: the height over ground of KITTI's scanner
 # (Geiger et al. 2013, Vision meets robotics: the KITTI dataset, figure 3).
@@ -118,6 +118,61 @@ def lidar_view(
         T_vehicle_from_lidar,
         range_noise_seed,
     )
+    return beam_hits(scene, lidar, directions, T_vehicle_from_lidar).measured(lidar, range_noise_seed)
+
+
+@dataclass(frozen=True)
+class BeamHits:
+    """Surfaces that the beams of a LiDAR meet, row i that of beam i; noise and unit of intensity come with `measured`.
+
+    Args:
+        beams: unit directions in the LiDAR's frame, ``(N, 3)``.
+        grid: rings and columns of an organised scan.
+        range_m: ``(N,)``, infinite for the sky.
+        reflectivity: apparent, 1 is Lambertian white at normal incidence, ``(N,)``.
+        label: as in `LidarView`, like the rest.
+    """
+
+    beams: Tensor
+    grid: tuple[int, int] | None
+    range_m: Tensor
+    reflectivity: Tensor
+    label: Tensor
+    object_id: Tensor
+    cos_incidence: Tensor
+    boxes: Tensor
+    box_object_id: Tensor
+    T_vehicle_from_lidar: Tensor
+
+    def measured(self, lidar: Lidar, range_noise_seed: int | None = None) -> LidarView:
+        """Report of a sensor with these beams, as of `lidar_view`. Ray casting, most of the work, is not repeated."""
+        beams, grid, range_m, reflectivity = self.beams, self.grid, self.range_m, self.reflectivity
+        measured = _measured_range(range_m, lidar, range_noise_seed)
+        hit = _detected(range_m, reflectivity, lidar) & (measured > 0)
+        hit = hit & (measured >= lidar.min_range_m) & (measured <= lidar.max_range_m)
+        none = torch.zeros_like(range_m)
+        xyz = torch.where(hit, measured, none)[:, None] * beams
+        intensity = torch.where(hit, reported_intensity(reflectivity, torch.where(hit, range_m, none + 1), lidar), none)
+        return LidarView(
+            points=_at_rest(torch.cat([xyz, intensity[:, None], _rings(len(beams), grid, beams)[:, None]], -1), lidar),
+            directions=beams,
+            grid=grid,
+            label=self.label,
+            object_id=self.object_id,
+            cos_incidence=self.cos_incidence,
+            boxes=self.boxes,
+            box_object_id=self.box_object_id,
+            T_vehicle_from_lidar=self.T_vehicle_from_lidar,
+        )
+
+
+def beam_hits(
+    scene: Scene,
+    lidar: Lidar,
+    directions: Tensor | None = None,
+    T_vehicle_from_lidar: Tensor | Sequence[Sequence[float]] | None = None,
+) -> BeamHits:
+    """Surfaces that the beams meet; arguments as of `lidar_view`."""
     beams, grid = _beams(lidar, directions)
     beams = beams.to(torch.promote_types(beams.dtype, torch.float32))  # angles between beams need its digits
     pose = checked_pose("lidar_view", "lidar", T_vehicle_from_lidar, beams, ROOF_MOUNT_M)
@@ -131,22 +186,15 @@ def lidar_view(
     def by_beam(values: Tensor) -> Tensor:
         return torch.empty_like(values).index_copy_(0, order, values)
 
-    range_m, label, object_id = by_beam(seen.range_m), by_beam(seen.label), by_beam(seen.object_id)
     cosine = by_beam(-(seen.normal * rays[order]).sum(-1)).clamp(0, 1)
-    reflectivity = by_beam(seen.reflectance[:, 0]) * cosine + by_beam(seen.emission[:, 0])
-    measured = _measured_range(range_m, lidar, range_noise_seed)
-    hit = _detected(range_m, reflectivity, lidar) & (measured > 0)
-    hit = hit & (measured >= lidar.min_range_m) & (measured <= lidar.max_range_m)
-    none = torch.zeros_like(range_m)
-    xyz = torch.where(hit, measured, none)[:, None] * beams
-    intensity = torch.where(hit, reported_intensity(reflectivity, torch.where(hit, range_m, none + 1), lidar), none)
     boxes, box_object_id = object_boxes(scene, torch.linalg.inv(pose))
-    return LidarView(
-        points=_at_rest(torch.cat([xyz, intensity[:, None], _rings(len(beams), grid, beams)[:, None]], -1), lidar),
-        directions=beams,
+    return BeamHits(
+        beams=beams,
         grid=grid,
-        label=label,
-        object_id=object_id,
+        range_m=by_beam(seen.range_m),
+        reflectivity=by_beam(seen.reflectance[:, 0]) * cosine + by_beam(seen.emission[:, 0]),
+        label=by_beam(seen.label),
+        object_id=by_beam(seen.object_id),
         cos_incidence=cosine,
         boxes=boxes.to(beams.dtype),
         box_object_id=box_object_id,

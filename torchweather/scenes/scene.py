@@ -286,7 +286,7 @@ class Scene:
         rgb = window(colour)
         bayer = mosaic(rgb, camera.bayer_pattern)
         if shot_noise_seed is not None:
-            bayer = _with_sensor_noise(bayer, shot_noise_seed)
+            bayer = with_sensor_noise(bayer, shot_noise_seed)
         return SceneView(
             bayer=bayer,
             rgb=rgb,
@@ -492,7 +492,7 @@ def _edges(colour: Tensor, object_id: Tensor) -> Tensor:
     return edge
 
 
-def _with_sensor_noise(signal: Tensor, seed: int) -> Tensor:
+def with_sensor_noise(signal: Tensor, seed: int) -> Tensor:
     """Shot and readout noise, normal approximation of the Poisson law, clipped to [0, 1] as a sensor clips."""
     drawn = keyed_stream(seed, "scene.sensor_noise").standard_normal(size=tuple(signal.shape), dtype="float32")
     variance = signal / FULL_WELL_ELECTRONS + (READ_NOISE_ELECTRONS / FULL_WELL_ELECTRONS) ** 2

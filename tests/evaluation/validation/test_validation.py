@@ -16,6 +16,7 @@ from tests.gap import studies
 from tests.recordings import recording
 from tests.running_examples import load_example
 from torchweather.atmosphere.weather import Fog, Rain, Snow
+from torchweather.camera.sensor import Camera
 from torchweather.evaluation.validation.comparison import Comparison, Sample, judged
 from torchweather.evaluation.validation.frame_scores import KNOWN, ScoreMeaning, frame_scores, lidar_points
 from torchweather.evaluation.validation.quantities import quantity
@@ -26,6 +27,9 @@ from torchweather.gap.study import embedded
 from torchweather.gap.study.embedded import embedded_study
 from torchweather.gap.study.simulation import start_frame
 from torchweather.gap.study.study import Frame, Study
+from torchweather.lidar.sensor import Lidar
+from torchweather.scenes import lidar_view
+from torchweather.scenes import test_track as track
 
 LOWER, HIGHER = ScoreMeaning(False, "m"), ScoreMeaning(True)
 POWERS = ("power_change_db", "power_rmse_db", "detected_share")
@@ -162,6 +166,23 @@ def test_two_runs_of_one_model_agree_beyond_the_floor(
     (trend,) = found.trends
     assert trend.values == (200.0, 50.0)
     assert {name: trend.agreement(name) for name in names} == dict.fromkeys(names, True)
+
+
+def test_frames_of_the_embedded_study_are_views_with_noise_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scene is ray-cast once a study; the slow reference casts it for each frame."""
+    monkeypatch.setattr(embedded, "CAMERA_PX", (32, 24))
+    monkeypatch.setattr(embedded, "RINGS", 4)
+    monkeypatch.setattr(embedded, "COLUMNS", 16)
+    monkeypatch.setattr(embedded, "WEATHERS", (Fog(mor_m=200.0),))
+    seed = embedded._seed(0, "clear.1")
+    camera = embedded_study("camera", clear_frames=2, frames=1)
+    wanted = track().view(camera.sensor_as(Camera), shot_noise_seed=seed).bayer[0]
+    assert np.array_equal(camera.scenes["test-track"].clear[1]["bayer"], wanted.numpy())
+    lidar = embedded_study("lidar", clear_frames=2, frames=1)
+    points = lidar_view(track(), lidar.sensor_as(Lidar), range_noise_seed=seed).points
+    range_m = points[:, :3].norm(dim=-1).numpy()
+    # Single precision: lengths of vectors, on 100 m; the noise is some thousand times that.
+    assert np.allclose(lidar.scenes["test-track"].clear[1]["range_m"].ravel(), range_m, atol=1e-4)
 
 
 def changed(study: Study, change: Callable[[Frame], Frame]) -> Study:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from tests.mutants.mutant import Mutant
 
 POWER_TESTS = "tests/evaluation/validation/test_power.py"
+VALIDATION_TESTS = "tests/evaluation/validation/test_validation.py"
 FIT_TESTS = "tests/evaluation/fit/test_fit_weather.py"
 COMPARISON = "torchweather.evaluation.validation.comparison"
 
@@ -114,6 +115,14 @@ MUTANTS = (
         "if lidar.intensity_unit in EIGHT_BITS else lidar",
         'if lidar.intensity_unit == "never" else lidar',
         (f"{FIT_TESTS}::test_the_embedded_study_rounds_once",),
+    ),
+    Mutant(
+        "embedded_noise_of_one_frame",
+        "every frame of the embedded study has noise of its own",
+        "torchweather.gap.study.embedded",
+        "with_sensor_noise(seen.bayer, noise)",
+        "with_sensor_noise(seen.bayer, 0)",
+        (f"{VALIDATION_TESTS}::test_frames_of_the_embedded_study_are_views_with_noise_of_their_own",),
     ),
     Mutant(
         "rendered_in_full",

@@ -22,10 +22,10 @@ from torchweather.gap.study.study import Frame, Study
 from torchweather.lidar.intensity import EIGHT_BITS
 from torchweather.lidar.sensor import Lidar
 from torchweather.radar.sensor import Radar
-from torchweather.scenes import SCENES, RadarView, Scene, lidar_view, radar_view
-from torchweather.scenes.lidar_view import reported_intensity
+from torchweather.scenes import SCENES, RadarView, Scene, radar_view
+from torchweather.scenes.lidar_view import beam_hits, reported_intensity
 from torchweather.scenes.raw_frame import DRY
-from torchweather.scenes.scene import SceneLabel
+from torchweather.scenes.scene import SceneLabel, with_sensor_noise
 from torchweather.sensors import DEFAULT_PRESETS
 
 __all__ = ["EMBEDDED_KINDS", "WEATHERS", "embedded_study"]
@@ -125,7 +125,8 @@ def _lidar(scene: Scene, preset: str) -> tuple[Lidar, *Parts]:
         origin_heights_m=None,
         columns=COLUMNS,
     )
-    seen = lidar_view(scene, lidar)
+    hits = beam_hits(scene, lidar)
+    seen = hits.measured(lidar)
     assert seen.grid is not None
     grid = seen.grid
     direction = seen.directions.reshape(*grid, 3).numpy()
@@ -134,7 +135,7 @@ def _lidar(scene: Scene, preset: str) -> tuple[Lidar, *Parts]:
     fine = replace(lidar, intensity_unit="reflectivity") if lidar.intensity_unit in EIGHT_BITS else lidar
 
     def clear(noise: int) -> dict[str, Array]:
-        points = lidar_view(scene, fine, range_noise_seed=noise).points
+        points = hits.measured(fine, range_noise_seed=noise).points
         range_m = torch.linalg.vector_norm(points[:, :3], dim=-1)
         return {"range_m": range_m.reshape(grid).numpy(), "intensity": points[:, 3].reshape(grid).numpy()}
 
@@ -157,7 +158,7 @@ def _camera(scene: Scene, preset: str) -> tuple[Camera, *Parts]:
     depth_m = seen.depth_m[0].numpy()
 
     def clear(noise: int) -> dict[str, Array]:
-        return {"bayer": scene.view(camera, shot_noise_seed=noise).bayer[0].numpy()}
+        return {"bayer": with_sensor_noise(seen.bayer, noise)[0].numpy()}
 
     def weathered(frame: Frame, weather: Weather, seed: int) -> dict[str, Array]:
         return simulated_camera(frame, depth_m, weather, camera, seed)
