@@ -18,6 +18,7 @@ from torchweather.camera.luminance import airlight_from_luminance
 from torchweather.camera.state import CameraState
 from torchweather.core.compiled import uses_compiled
 from torchweather.core.errors import InputValueError, TorchweatherWarning, owner_name
+from torchweather.pipeline.graph_operations import cells_apart
 from torchweather.pipeline.tiling import is_exporting
 
 __all__ = [
@@ -111,11 +112,11 @@ def estimate_airlight(
             leaves a sky at the horizon as it is.
     """
     planes = state.receiver.cfa_index is None
-    light, seen = _horizon_sky(state, STRIDES_PX)
-    if is_exporting() or (not bool(seen.all()) and _any_sky(state)):
+    light, seen = _horizon_sky_at_once(state) if is_exporting() else _horizon_sky(state, STRIDES_PX)
+    if not is_exporting() and not bool(seen.all()) and _any_sky(state):
         # A sky may show between the thinned pixels only.
         every, seen_at_all = _horizon_sky(state, (1, 1) if planes else (2, 2))
-        light, seen = torch.where(seen[:, None], light, every), seen | seen_at_all
+        light, seen = torch.where(seen, light, every), seen | seen_at_all
     grey = mode == "grey" or (mode is None and planes)
     if grey:
         neutral = _neutral(light)
@@ -126,7 +127,7 @@ def estimate_airlight(
         instead = _grey_without_sky(state) if planes else per_colour(_brightest(state), state)
         if grey and not planes:
             instead = instead.mean(1, keepdim=True).expand_as(light)
-        airlight = torch.where(seen[:, None], light, instead)
+        airlight = torch.where(seen, light, instead)
     if not is_exporting() and state.image.signal.numel():
         _warn(airlight, seen, owner, planes=planes, night=state.air.lamp_light is not None)
     return airlight
@@ -145,7 +146,7 @@ def _grey_without_sky(state: CameraState) -> Tensor:
 
 def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool, night: bool) -> None:
     if not bool(seen.all()):
-        day = bool((airlight[~seen].amax(1) >= NIGHT_BELOW).any())
+        day = bool((airlight[~seen[:, 0]].amax(1) >= NIGHT_BELOW).any())
         stands_in = "the brightest spot" if not planes else f"a grey of {DEFAULT_GREY:g}" if day else "its mean light"
         warnings.warn(
             f"{type(owner).__name__}: no sky in the frame and no airlight given; {stands_in} stands in for it. Give "
@@ -164,24 +165,58 @@ def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool, night:
 
 def _horizon_sky(state: CameraState, steps_px: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Sky's light per colour ``(B, 3)``, weighted towards the horizon, from some rows and columns; and whether every
-    colour was seen, ``(B,)``."""
+    colour was seen, ``(B, 1)``."""
     dtype = state.image.signal.dtype
     if state.scene.sky is None:
         sky = torch.isinf(thinned(state, state.scene.depth_m, steps_px)).to(dtype)
     else:
         sky = thinned(state, state.scene.sky, steps_px).to(dtype)
-    if not is_exporting() and not bool(sky.any()):  # the other maps need not be read
-        return state.image.signal.new_zeros(state.batch, 3), torch.zeros(
-            state.batch, dtype=torch.bool, device=sky.device
-        )
+    if not bool(sky.any()):  # the other maps need not be read
+        unseen = torch.zeros(state.batch, 1, dtype=torch.bool, device=sky.device)
+        return state.image.signal.new_zeros(state.batch, 3), unseen
     signal = thinned(state, state.image.signal, steps_px)  # (B, 4 or 3, n)
     weight = sky
     if state.scene.sine_elevation is not None:
         weight = towards_horizon(sky, thinned(state, state.scene.sine_elevation, steps_px).to(signal.dtype))
     weight = weight.expand(len(signal), weight.shape[1], -1)
-    seen = (sky > 0.5).any(-1).all(1).expand(len(signal))
+    seen = (sky > 0.5).any(-1).all(1, keepdim=True).expand(len(signal), 1)
     light = (signal * weight).sum(-1) / weight.sum(-1).clamp_min(1e-12)
     return per_colour(light.view(-1, 2, 2), state) if state.receiver.cfa_index is not None else light, seen
+
+
+def _horizon_sky_at_once(state: CameraState) -> tuple[Tensor, Tensor]:
+    """``_horizon_sky`` of some rows and columns, or of all of them where those show no sky; as a graph holds it.
+
+    Both have the same sums: what is left out has no weight.
+    """
+    signal = state.image.signal
+    planes = state.receiver.cfa_index is None
+    given = state.scene.sky
+    sky = (torch.isinf(state.scene.depth_m) if given is None else given).to(signal.dtype)
+    few = torch.where(_picked(signal, 1 if planes else 2), sky, 0.0)
+    sky = torch.where(_seen(few, planes=planes)[:, :, None, None], few, sky)
+    weight = sky
+    if state.scene.sine_elevation is not None:
+        weight = towards_horizon(sky, state.scene.sine_elevation.to(signal.dtype))
+    if planes:
+        light = (signal * weight).sum((2, 3)) / weight.sum((2, 3)).clamp_min(1e-12)
+    else:
+        sums = [cells_apart(one).sum((2, 3)) for one in (signal * weight, weight)]
+        light = per_colour(sums[0] / sums[1].clamp_min(1e-12), state)
+    return light, _seen(sky, planes=planes)
+
+
+def _picked(image: Tensor, cell_px: int) -> Tensor:
+    """Mask ``(H, W)`` of the pixels that ``thinned`` takes by ``STRIDES_PX``."""
+    place = [torch.arange(size, device=image.device) for size in image.shape[-2:]]
+    down, across = (torch.remainder(at, step) < cell_px for at, step in zip(place, STRIDES_PX, strict=True))
+    return down.unsqueeze(1) & across
+
+
+def _seen(sky: Tensor, *, planes: bool) -> Tensor:
+    """True where every phase of a mosaic, or a pixel of planes, shows sky, ``(B, 1)``; of ``(B, 1, H, W)``."""
+    most = sky.amax((2, 3)) if planes else cells_apart(sky).amax((2, 3)).amin(1, keepdim=True)
+    return most > 0.5
 
 
 def towards_horizon(sky: Tensor, sine_elevation: Tensor) -> Tensor:
@@ -192,7 +227,7 @@ def towards_horizon(sky: Tensor, sine_elevation: Tensor) -> Tensor:
         sine_elevation: of the rays, broadcast against it.
     """
     sine = sine_elevation.clamp_min(0.0)
-    lowest = torch.where(sky > 0.5, sine, 2.0).flatten(1).amin(1).view(-1, *(1,) * (sky.ndim - 1))
+    lowest = torch.where(sky > 0.5, sine, 2.0).amin(tuple(range(1, sky.ndim)), keepdim=True)
     return sky * torch.exp(((lowest - sine) / BAND_SINE).clamp_max(0.0))
 
 
@@ -212,6 +247,8 @@ def _phases(mosaic: Tensor, down: int = 1, across: int = 1) -> Tensor:
         mosaic: the raw frame.
         down, across: from one row and column of cells that is taken to the next.
     """
+    if is_exporting() and down == across == 1:
+        return cells_apart(mosaic)
     b, _, height, width = mosaic.shape
     cells = mosaic.reshape(b, height // 2, 2, width // 2, 2)[:, ::down, :, ::across]
     rows, columns = cells.shape[1], cells.shape[3]
@@ -235,7 +272,10 @@ def _any_sky(state: CameraState) -> bool:
 
 
 def _brightest(state: CameraState) -> Tensor:
-    """Mean of the brightest 3 x 3 neighbourhood of each phase of the CFA, ``(B, 2, 2)``; at the edges of fewer."""
+    """Mean of the brightest 3 x 3 neighbourhood of each phase of the CFA, ``(B, 2, 2)``; at the edges of fewer.
+
+    Of a graph ``(B, 4)``.
+    """
     signal = state.image.signal
     if is_exporting() or min(signal.shape[-2:]) < 8:
         return _brightest_of(signal)
@@ -273,14 +313,18 @@ def _edge(means: Tensor) -> Tensor:
 
 
 def _brightest_of(signal: Tensor) -> Tensor:
-    return _pooled(signal).amax((-2, -1)).view(-1, 2, 2)
+    most = _pooled(signal).amax((-2, -1))
+    return most if is_exporting() else most.view(-1, 2, 2)
 
 
 def per_colour(cells: Tensor, state: CameraState) -> Tensor:
-    """Mean over the cells of each colour, ``(B, 2, 2)`` to ``(B, 3)``."""
+    """Mean over the cells of each colour, ``(B, 2, 2)`` or ``(B, 4)`` to ``(B, 3)``."""
     cfa = state.receiver.cfa_index
     assert cfa is not None
     own = (cfa.flatten() == torch.arange(3, device=cfa.device)[:, None]).to(cells.dtype)  # (3, 4)
+    if is_exporting():
+        shares = own / own.sum(-1, keepdim=True).clamp_min(1)
+        return (cells if cells.ndim == 2 else cells.flatten(1)) @ shares.T
     return (cells.reshape(-1, 1, 4) * own).sum(-1) / own.sum(-1).clamp_min(1)
 
 
@@ -288,6 +332,8 @@ def frame_mean(state: CameraState) -> Tensor:
     """Mean signal of each colour over the frame, ``(B, 3)``."""
     if state.receiver.cfa_index is None:
         return state.image.signal.mean((-2, -1))
+    if is_exporting():
+        return per_colour(cells_apart(state.image.signal).mean((2, 3)), state)
     signal = state.by_cells(state.image.signal)  # (B, 1, H/2, 2, W)
     even, odd = signal[..., 0::2].mean((1, 2, 4)), signal[..., 1::2].mean((1, 2, 4))  # (B, 2)
     return per_colour(torch.stack([even, odd], -1), state)

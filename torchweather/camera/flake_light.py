@@ -7,6 +7,8 @@ from torch import Tensor
 
 from torchweather.camera.airlight import STRIDES_PX, per_colour, thinned
 from torchweather.camera.state import CameraState
+from torchweather.pipeline.graph_operations import cells_apart, parts_of
+from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["GROUND_ALBEDO", "flake_light", "sky_gradient"]
 
@@ -51,6 +53,9 @@ def _mean_under(state: CameraState, weight: Tensor) -> tuple[Tensor, Tensor]:
     if state.receiver.cfa_index is None:
         mean = weight.mean((2, 3))
         return (signal * weight).mean((2, 3)) / mean.clamp_min(1e-12), mean.expand(signal.shape[0], 1)
+    if is_exporting():
+        own, lit = (cells_apart(one).mean((2, 3)) for one in (weight, signal * weight))
+        return per_colour(lit / own.clamp_min(1e-12), state), own.amin(1, keepdim=True)
     cells = [(slice(y, None, 2), slice(x, None, 2)) for y in (0, 1) for x in (0, 1)]
     own = torch.stack([weight[:, 0, y, x].mean((1, 2)) for y, x in cells], 1)  # (1 or B, 4)
     lit = torch.stack([(signal[:, 0, y, x] * weight[:, 0, y, x]).mean((1, 2)) for y, x in cells], 1)
@@ -64,6 +69,8 @@ def sky_gradient(state: CameraState) -> Tensor:
     A straight line through the sky of the frame over the sine of the elevation, by least squares; 0 where the frame
     shows too little sky for one.
     """
+    if is_exporting() and state.scene.sine_elevation is not None:
+        return _gradient_of_graph(state, state.scene.sine_elevation)
     signal = thinned(state, state.image.signal, STRIDES_PX).mean(1)  # (B, n)
     if state.scene.sine_elevation is None:
         return signal.new_zeros(signal.shape[0], 1)
@@ -72,7 +79,31 @@ def sky_gradient(state: CameraState) -> Tensor:
     weight = (weight / weight.sum(1, keepdim=True).clamp_min(1e-12)).expand_as(signal)
     up_mean, mean = (weight * up).sum(1, keepdim=True), (weight * signal).sum(1, keepdim=True)
     spread = (weight * (up - up_mean).square()).sum(1, keepdim=True)
-    slope = (weight * (up - up_mean) * (signal - mean)).sum(1, keepdim=True) / spread.clamp_min(LEAST_SPREAD**2)
+    both = (weight * (up - up_mean) * (signal - mean)).sum(1, keepdim=True)
+    return _gradient(up_mean, mean, spread, both)
+
+
+def _gradient_of_graph(state: CameraState, sine_elevation: Tensor) -> Tensor:
+    """``sky_gradient`` of one sample in few operations."""
+    signal, sky = state.image.signal, state.scene.sky
+    sky = (torch.isinf(state.scene.depth_m) if sky is None else sky).to(signal)
+    maps = [sine_elevation.to(signal), signal, sky]
+    if state.receiver.cfa_index is None:
+        rows = torch.cat([thinned(state, one, STRIDES_PX).mean(1) for one in maps])
+    else:  # means over the places of some cells
+        rows = torch.nn.functional.avg_pool2d(torch.cat(maps), 2, STRIDES_PX).flatten(1)
+    values, weight = parts_of(rows, (2, 1))
+    weight = weight / weight.sum(1, keepdim=True).clamp_min(1e-12)
+    means = (weight * values).sum(1, keepdim=True)
+    off = values - means
+    spread, both = parts_of((weight * off[:1] * off).sum(1, keepdim=True), (1, 1))
+    up_mean, mean = parts_of(means, (1, 1))
+    return _gradient(up_mean, mean, spread, both)
+
+
+def _gradient(up_mean: Tensor, mean: Tensor, spread: Tensor, both: Tensor) -> Tensor:
+    """Gradient of a sky from means of the sine and of the radiance, variance of the sine and covariance of both."""
+    slope = both / spread.clamp_min(LEAST_SPREAD**2)
     at_horizon = mean - slope * up_mean
     gradient = (slope / at_horizon.clamp_min(1e-6)).clamp(0.0, OVERCAST_GRADIENT)
     gradient = torch.where(at_horizon > 0, gradient, OVERCAST_GRADIENT)

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchweather.atmosphere.density_field import PatchField
 from torchweather.camera.night.lamp_light import LampLight
 from torchweather.camera.sensor import Camera
+from torchweather.pipeline.graph_operations import cells_apart, cells_together
 from torchweather.pipeline.state import PartedState
 
 __all__ = ["CameraAir", "CameraImage", "CameraReceiver", "CameraScene", "CameraState"]
@@ -194,6 +195,20 @@ class CameraState(PartedState):
         """
         b, c, h, w = image.shape
         return image[:, :, None] if self.receiver.cfa_index is None else image.reshape(b, c, h // 2, 2, w)
+
+    def per_place(self, per_colour: Tensor) -> Tensor:
+        """``per_pixel`` to be broadcast against ``by_places``: ``(B, 4 or 3, 1, 1)``."""
+        cfa = self.receiver.cfa_index
+        each = per_colour if cfa is None else per_colour.index_select(1, cfa.flatten())
+        return each[:, :, None, None]
+
+    def by_places(self, image: Tensor) -> Tensor:
+        """One plane for each place in the CFA's cells, ``(B, 4, H/2, W/2)``; colour planes as they are."""
+        return image if self.receiver.cfa_index is None else cells_apart(image)
+
+    def from_places(self, planes: Tensor) -> Tensor:
+        """The image of which ``by_places`` gives some planes."""
+        return planes if self.receiver.cfa_index is None else cells_together(planes)
 
 
 for _part in (LampLight, CameraScene, CameraAir, CameraImage, CameraReceiver, CameraState):

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +24,10 @@ from torchweather.export.decomposing import DecomposedByNode
 from torchweather.export.lidar_graph import LIDAR_FORM
 from torchweather.export.metadata import model_properties, set_properties
 from torchweather.export.radar_graph import MAP_FORM, RADAR_FORM
+from torchweather.export.tidying import simplify
 from torchweather.export.traceable import GraphForm, GraphSizes, Traceable
 from torchweather.lidar.transform import LidarWeather
+from torchweather.pipeline.graph_operations import writing_onnx
 from torchweather.pipeline.sensor_transform import WeatherTransform
 from torchweather.radar import RangeDopplerMap
 from torchweather.radar.transform import RadarAttenuation
@@ -31,6 +35,7 @@ from torchweather.radar.transform import RadarAttenuation
 __all__ = ["to_onnx"]
 
 OPSET = 20
+FOLDED = 1 << 18  # entries of a table up to which it is computed when the graph is written
 FORMS: dict[type, GraphForm] = {
     BayerWeather: BAYER_FORM,
     AsBayer: RGB_FORM,
@@ -187,7 +192,9 @@ def _form(transform: object, height: int, width: int) -> GraphForm:
 
 def _traced(traceable: Traceable) -> Any:
     """The graph, as onnx holds it."""
-    with torch.no_grad(), warnings.catch_warnings():
+    from torchweather.export.promoting import promoting_by_held_types
+
+    with torch.no_grad(), warnings.catch_warnings(), _few_records(), promoting_by_held_types():
         # The exporter's own: deprecated calls inside torch, and inputs that it names by position.
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
@@ -209,12 +216,27 @@ def _captured(traceable: Traceable) -> torch.export.ExportedProgram:
     options: dict[str, Any] = {"strict": False, "prefer_deferred_runtime_asserts_over_guards": True}
     shapes: Any = traceable.dynamic_shapes
     # A size of 0 or 1 is no case of its own.
-    with torch.fx.experimental._config.patch(backed_size_oblivious=True):  # type: ignore[attr-defined]
+    with torch.fx.experimental._config.patch(backed_size_oblivious=True), writing_onnx():  # type: ignore[attr-defined]
         try:
             return torch.export.export(traceable.module, traceable.arguments, dynamic_shapes=shapes, **options)
         except torch._dynamo.exc.UserError as error:  # a size has another least value
             shapes = torch.export.dynamic_shapes.refine_dynamic_shapes_from_suggested_fixes(error.msg, shapes)
             return torch.export.export(traceable.module, traceable.arguments, dynamic_shapes=shapes, **options)
+
+
+@contextmanager
+def _few_records() -> Iterator[None]:
+    """While it is open, torch keeps neither the source lines of every node nor tensors without data for later calls.
+
+    Of sizes that are symbols, keeping such a tensor takes longer than making it: 30 % of a capture.
+    """
+    before = torch.fx.config.do_not_emit_stack_traces
+    torch.fx.config.do_not_emit_stack_traces = True
+    try:
+        with torch._dynamo.config.patch(fake_tensor_cache_enabled=False):
+            yield
+    finally:
+        torch.fx.config.do_not_emit_stack_traces = before
 
 
 def tidy(model: Any) -> None:
@@ -227,8 +249,11 @@ def tidy(model: Any) -> None:
     from onnxscript import optimizer
 
     common.InlinePass()(model)
-    optimizer.fold_constants(model)
+    optimizer.fold_constants(model, input_size_limit=FOLDED, output_size_limit=FOLDED)
     common.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
     common.DeduplicateInitializersPass()(model)
     common.CommonSubexpressionEliminationPass()(model)
+    simplify(model)
     optimizer.remove_unused_nodes(model)
+    common.DeduplicateInitializersPass()(model)
+    common.CommonSubexpressionEliminationPass()(model)

@@ -59,6 +59,12 @@ def covered(marks: Marks, k: int) -> Tensor:
     return coverage if steep else coverage.T
 
 
+def in_rows(marks: Marks) -> Marks:
+    """Marks as a graph has them, each number ``(1, P)``."""
+    present = {name: value for name, value in vars(marks).items() if value is not None}
+    return replace(marks, **{name: value[None] for name, value in present.items()})
+
+
 @pytest.mark.parametrize("by_columns", [False, True])
 @pytest.mark.parametrize("widest_px", [0.9, 7.0])
 @pytest.mark.parametrize("lean", [None, 0.0, 0.4, -2.5])
@@ -86,9 +92,11 @@ def test_marks_of_like_columns_and_pairs_add_up_to_every_pixel_of_every_mark(
         # The order of a sum, and of differences between the ends of a long path: some steps of float32.
         for ours, theirs in ((found, wanted), (found_faded, faded)):
             torch.testing.assert_close(ours, laid(theirs.view(HEIGHT, WIDTH)), rtol=1e-4, atol=2e-6)
-    by_pairs = add_pairs(torch.zeros_like(wanted), torch.zeros_like(wanted), marks, depth_m.flatten(), (HEIGHT, WIDTH))
+    nothing = torch.zeros(1, HEIGHT * WIDTH)
+    by_pairs = add_pairs(nothing, nothing, in_rows(marks), depth_m.view(1, -1), (HEIGHT, WIDTH))
     for pairs, theirs in zip(by_pairs, (wanted, faded), strict=True):
-        torch.testing.assert_close(pairs, theirs, rtol=1e-4, atol=2e-6)
+        assert pairs is not None
+        torch.testing.assert_close(pairs[0], theirs, rtol=1e-4, atol=2e-6)
     assert float(wanted.max()) > 0.05
 
 
@@ -98,8 +106,9 @@ def test_marks_of_several_samples_stay_apart() -> None:
     sample = torch.arange(NUMBER) % 2
     nothing = torch.zeros_like(depth_m)
     both, _ = add_listed(nothing.clone(), None, replace(marks, sample=sample), depth_m, (HEIGHT, WIDTH))
-    by_pairs, _ = add_pairs(nothing, None, replace(marks, sample=sample), depth_m, (HEIGHT, WIDTH))
-    torch.testing.assert_close(by_pairs, both, rtol=1e-4, atol=2e-6)
+    rows = in_rows(replace(marks, sample=sample))
+    by_pairs, _ = add_pairs(nothing[None], None, rows, depth_m[None], (HEIGHT, WIDTH))
+    torch.testing.assert_close(by_pairs[0], both, rtol=1e-4, atol=2e-6)
     for k in range(2):
         own = replace(marks, **{name: getattr(marks, name)[k::2] for name in FIELDS})
         alone = torch.zeros(HEIGHT * WIDTH)

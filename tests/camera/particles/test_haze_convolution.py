@@ -1,6 +1,8 @@
-"""The haze of a graph, one convolution, against sums of maps shifted tap by tap."""
+"""The haze of a graph, two convolutions, against sums of maps shifted tap by tap."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import pytest
 import torch
@@ -8,7 +10,7 @@ import torch
 from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.camera.particles.haze import _streaky
 from torchweather.camera.particles.haze_convolution import streaky_maps
-from torchweather.camera.particles.population import Population
+from torchweather.camera.particles.population import Population, trimmed
 from torchweather.camera.particles.veil import ParticleVeil
 from torchweather.sensors import Camera
 
@@ -29,12 +31,14 @@ def population_of(name: str) -> Population:
 
 @pytest.mark.parametrize("size", [(32, 40), (35, 7), (3, 61)])
 @pytest.mark.parametrize("name", WEATHERS)
-def test_one_convolution_gives_the_sums_of_shifted_maps(name: str, size: tuple[int, int]) -> None:
+def test_two_convolutions_give_the_sums_of_shifted_maps(name: str, size: tuple[int, int]) -> None:
     population = population_of(name)
     tables = population.at_rate(1)
     shells = len(population.haze_shells)
     white = torch.randn(1, shells, *size, generator=torch.Generator().manual_seed(3))
-    maps = streaky_maps(white, tables, population)
+    along = trimmed(tables.kernel_along, population.taps_along)
+    across = trimmed(tables.kernel_across, population.taps_across)
+    maps = streaky_maps(white, replace(tables, kernel_along=along, kernel_across=across), population)
     wanted = [_streaky(white, tables, 0, size[0], population, number) for number in range(shells)]
     # Sums of some hundred products in another order.
     torch.testing.assert_close(maps, torch.cat(wanted, 1), rtol=1e-5, atol=1e-5)

@@ -199,20 +199,20 @@ MUTANTS = (
         "pairs_blind_to_depth",
         "a graph's streak hides only behind what is nearer",
         STREAKS,
-        "own.depth_m < depth_m.gather(0, pixel)",
-        "own.depth_m > depth_m.gather(0, pixel)",
+        "own.depth_m < depth_m.gather(1, pixel)",
+        "own.depth_m > depth_m.gather(1, pixel)",
         (DEPOSIT,),
     ),
     Mutant(
         "haze_of_a_graph_blends_the_wrong_column",
         "a leaning streak is blended of the two columns that it lies between",
         "torchweather.camera.particles.haze_convolution",
-        "places[row, place, column] = (1 - share) / energy",
-        "places[row, place, column] = share / energy",
+        "places[row, lean + whole] = (1 - share) / energy",
+        "places[row, lean + whole] = share / energy",
         (
             (
                 "tests/camera/particles/test_haze_convolution.py::"
-                "test_one_convolution_gives_the_sums_of_shifted_maps[lean-size0]"
+                "test_two_convolutions_give_the_sums_of_shifted_maps[lean-size0]"
             ),
         ),
     ),

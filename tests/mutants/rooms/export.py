@@ -10,6 +10,14 @@ LIDAR_GRAPH = "torchweather.export.lidar_graph"
 
 MUTANTS = (
     Mutant(
+        "a_choice_takes_the_other_side",
+        "a choice by a constant gives what the constant chooses",
+        "torchweather.export.tidying",
+        "taken = node.inputs[1 if bool(choice.reshape(-1)[0]) else 2]",
+        "taken = node.inputs[2 if bool(choice.reshape(-1)[0]) else 1]",
+        ("tests/export/test_tidying.py::test_a_simpler_graph_gives_the_same_numbers[a choice that is made]",),
+    ),
+    Mutant(
         "changed_in_place_while_read",
         "an operation in place is replaced only where nothing else reads its input",
         "torchweather.export.decomposing",

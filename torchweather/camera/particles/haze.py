@@ -24,6 +24,7 @@ from torchweather.camera.particles.haze_convolution import streaky_maps
 from torchweather.camera.state import CameraState
 from torchweather.core.device_normals import normals_by_torch
 from torchweather.core.random import normals_of_key
+from torchweather.pipeline.graph_operations import columns_at, parts_of, rows_at, shaped_as
 from torchweather.pipeline.tiling import is_exporting, rows_of
 
 if TYPE_CHECKING:
@@ -67,16 +68,24 @@ def haze_depth(
     focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
     depth_m = rows_of(state.scene.depth_m, first, last).float().clamp(1e-6, population.far_m)
     # What all samples have in common, such as one depth map and one rate, is looked up once.
-    scale = focal.view(-1, 1, 1, 1)
+    scale = focal if is_exporting() else focal.view(-1, 1, 1, 1)
     if state.air.particle_reach_m is not None:
         depth_m = torch.minimum(depth_m, state.air.particle_reach_m.float().clamp_min(1e-6).view(-1, 1, 1, 1))
     foot = depth_m / scale
     read = _reader((torch.log(foot) - t.log_footprint_low) / t.log_footprint_step, tables.haze_depth.shape[1])
-    on_axis, variance = read(tables.haze_depth) * scale, read(tables.haze_variance) * scale
+    if is_exporting():
+        of_pixels = tables.haze_variance * scale
+        on_axis, variance = read(tables.haze_depth * scale, of_pixels)
+    else:
+        on_axis, variance = (one * scale for one in read(tables.haze_depth, tables.haze_variance))
     ray = rows_of(state.scene.ray_per_depth, first, last).float()
 
     fields = noise[f"{population.weather.kind}_haze"].to(state.image.signal.device)  # (B, J, H, W)
-    deviation = _deviation(population, tables, variance, fields, first, last, scale) * ray
+    if is_exporting():
+        maps = streaky_maps(fields, tables, population)
+        deviation = _deviation_at_once(of_pixels, variance, maps, population) * ray
+    else:
+        deviation = _deviation(population, tables, variance, fields, first, last, scale) * ray
     mean, variance = on_axis * ray, variance * ray.square()
     if tables.path_density is not None:
         denser = rows_of(tables.path_density, first, last)
@@ -111,8 +120,10 @@ def numbers_of_keys(keys: Tensor, shape: tuple[int, ...]) -> Tensor:
     return torch.from_numpy(np.stack([normals_of_key(key, shape) for key in words]))
 
 
-def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:
+def _reader(node: Tensor, nodes: int) -> Callable[..., list[Tensor]]:
     """Interpolates tables ``(1 or B, nodes)`` at fractional node numbers ``(1 or B, 1, rows, W)``, the ends held."""
+    if is_exporting():
+        return _reader_of_graph(node, nodes)
     cell = node.detach().floor().clamp(0.0, nodes - 2.0)
     share = (node - cell).clamp(0.0, 1.0)
     place = cell.int()
@@ -122,13 +133,23 @@ def _reader(node: Tensor, nodes: int) -> Callable[[Tensor], Tensor]:
         if len(table) > 1:
             row = torch.arange(table.shape[0], device=node.device, dtype=torch.int32)
             at = at + (row * nodes).view(-1, 1, 1, 1)
-        if is_exporting():  # gather and few operations are fast there
-            below = at.long().reshape(-1)
-            low, high = (table.reshape(-1).gather(0, flat).view(at.shape) for flat in (below, below + 1))
-            return low + share * (high - low)
         step = torch.nn.functional.pad(table[:, 1:] - table[:, :-1], (0, 1))
         low, rise = (one.reshape(-1).index_select(0, at.reshape(-1)).view(at.shape) for one in (table, step))
         return low + share * rise
+
+    return lambda *tables: [read(table) for table in tables]
+
+
+def _reader_of_graph(node: Tensor, nodes: int) -> Callable[..., list[Tensor]]:
+    """``_reader`` of tables of one sample, which are read together."""
+    flat = node.reshape(1, -1)
+    cell = flat.floor().clamp(0.0, nodes - 2.0)
+    share, place = (flat - cell).clamp(0.0, 1.0), cell.long()
+
+    def read(*tables: Tensor) -> list[Tensor]:
+        every = torch.cat(tables)
+        low, high = columns_at(every, place), columns_at(every, place + 1)
+        return [shaped_as(one, node) for one in parts_of(low + share * (high - low), (1,) * len(tables))]
 
     return read
 
@@ -143,8 +164,6 @@ def _deviation(
     scale: Tensor,
 ) -> Tensor:
     """Sum of the shells' noise maps, each with the variance of its part in front of the scene."""
-    if is_exporting():
-        return _deviation_at_once(tables, variance, streaky_maps(fields, tables, population), population, scale)
     total = variance.new_zeros(())
     learns = variance.requires_grad  # the root's gradient at 0 is infinite
     for number, shell in enumerate(population.haze_shells):
@@ -162,12 +181,12 @@ def _deviation(
     return total
 
 
-def _deviation_at_once(tables: AtRate, variance: Tensor, maps: Tensor, population: Population, scale: Tensor) -> Tensor:
-    """``_deviation`` of all shells in few operations, of their maps ``(1, J, H, W)``."""
+def _deviation_at_once(table: Tensor, variance: Tensor, maps: Tensor, population: Population) -> Tensor:
+    """``_deviation`` of all shells in few operations, of their maps ``(1, J, H, W)`` and a table of the variance."""
 
     def at_ends(nodes: list[int]) -> Tensor:
-        place = torch.tensor(nodes, device=scale.device)
-        return tables.haze_variance.index_select(1, place).view(1, len(nodes), 1, 1) * scale
+        place = torch.from_numpy(np.array(nodes)).to(variance.device)
+        return rows_at(table[0], place[:, None, None])
 
     low = at_ends([shell.first_node for shell in population.haze_shells])
     high = at_ends([shell.last_node for shell in population.haze_shells])
@@ -178,7 +197,7 @@ def _deviation_at_once(tables: AtRate, variance: Tensor, maps: Tensor, populatio
 def _mean_clear(
     population: Population,
     tables: AtRate,
-    read: Callable[[Tensor], Tensor],
+    read: Callable[..., list[Tensor]],
     ray: Tensor,
     longest: Tensor,
     focal: Tensor,
@@ -198,7 +217,8 @@ def _mean_clear(
         length_m = middle_m * (1 + (longest - 1) * node / (RAY_NODES - 1))
         clear = torch.cumsum(steps * torch.exp(-fog_per_m[:, None] * length_m), 1)
         near = (1 - (place - node).abs()).clamp_min(0)
-        total = total + near * read(torch.nn.functional.pad(clear, (1, 0)))
+        (found,) = read(torch.nn.functional.pad(clear, (1, 0)))
+        total = total + near * found
     return total
 
 

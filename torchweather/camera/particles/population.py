@@ -27,6 +27,7 @@ from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least, check_between
 from torchweather.core.random import ABSENT, Variate
 from torchweather.core.threads import side_by_side
+from torchweather.pipeline.graph_operations import columns_at, parts_of, rows_as_columns, rows_at, shaped_as
 from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["Array", "AtRate", "Population"]
@@ -318,42 +319,65 @@ class Population(nn.Module):
         falls = rate > 0
         safe = torch.where(falls, rate, 1.0)
         position = (torch.log(safe) - self.tables.log_rate_low) / self.tables.log_rate_step
-        cell = position.detach().floor().clamp(0, len(self.tables.tail_at_cut) - 2)
+        cell = position.detach().floor().clamp(0.0, len(self.tables.tail_at_cut) - 2.0)
         share = position - cell  # beyond the ends: the end cells' power law
         index = cell.long()
 
-        def between(table: Tensor, weight: Tensor) -> Tensor:
-            if is_exporting():  # of one rate, few operations
-                both = torch.cat([index, index + 1])
-                weights = torch.cat([1 - weight, weight]).view(2, *[1] * (table.ndim - 1))
-                return (table.index_select(0, both) * weights).sum(0, keepdim=True)
-            weight = weight.reshape(-1, *[1] * (table.ndim - 1))
-            return table.float()[index] * (1 - weight) + table.float()[index + 1] * weight
-
-        def rows(table: Tensor) -> Tensor:
-            return between(table, share)
-
+        # Linear tables (optical depth, variance) follow the rate's power law below the first node.
+        low = torch.exp(share.clamp_max(0.0) * self.tables.log_rate_step)
+        held = share.clamp_min(0.0)
+        if is_exporting():
+            return self._at_one_rate(index, share, held, torch.where(falls, low, 0.0), falls, count)
         amount = falls.to(rate.dtype)[:, None]
         if count is not None:
             amount = amount * count.to(rate.dtype)[:, None]
-        # Linear tables (optical depth, variance) follow the rate's power law below the first node.
-        low = torch.exp(share.clamp_max(0.0) * self.tables.log_rate_step)[:, None]
-        held = share.clamp_min(0.0)
 
-        def linear(table: Tensor) -> Tensor:
-            return between(table, held)
+        def between(table: Any, weight: Tensor) -> Tensor:
+            weight = weight.reshape(-1, *[1] * (table.ndim - 1))
+            found: Tensor = table.float()[index] * (1 - weight) + table.float()[index + 1] * weight
+            return found
 
         return AtRate(
-            rows(self.tails_at_cut),  # type: ignore[arg-type]
-            torch.exp(rows(self.outline)),  # type: ignore[arg-type]
-            torch.exp(rows(self.speed)),  # type: ignore[arg-type]
-            linear(self.depth_table) * amount * low,  # type: ignore[arg-type]
-            linear(self.variance_table) * amount * low,  # type: ignore[arg-type]
-            linear(self.along_table),  # type: ignore[arg-type]
-            linear(self.across_table),  # type: ignore[arg-type]
+            between(self.tails_at_cut, share),
+            torch.exp(between(self.outline, share)),
+            torch.exp(between(self.speed, share)),
+            between(self.depth_table, held) * amount * low[:, None],
+            between(self.variance_table, held) * amount * low[:, None],
+            between(self.along_table, held),
+            between(self.across_table, held),
             falls,
             count,
         )
+
+    def _at_one_rate(
+        self, index: Tensor, share: Tensor, held: Tensor, amount: Tensor, falls: Tensor, count: Tensor | None
+    ) -> AtRate:
+        """``at_rate`` in few operations, as a graph of one rate holds it; each argument is ``(1,)``.
+
+        Args:
+            index, share, held: node of the rate, place behind it, the same from 0 on.
+            amount: of the linear tables.
+            falls, count: as in ``AtRate``.
+        """
+        along, across = self.along_table, self.across_table
+        steep: list[Any] = [self.tails_at_cut, self.outline, self.speed]
+        flat: list[Any] = [self.depth_table, self.variance_table]
+        flat += [trimmed(along, self.taps_along), trimmed(across, self.taps_across)]  # type: ignore[arg-type]
+        tables = [*steep, *flat]
+        every = torch.cat([table.float().flatten(1) for table in tables], 1)
+        nodes = rows_at(every, index + torch.arange(2, device=index.device))
+        weights = torch.stack([share, held]) * every.new_tensor([-1.0, 1.0]) + every.new_tensor([1.0, 0.0])
+        sizes = [table[0].numel() for table in tables]
+        parts = parts_of((weights @ nodes).reshape(1, -1), [*sizes, *sizes], 1)
+        taken = [*parts[: len(steep)], *parts[len(tables) + len(steep) :]]
+        bounds, outline, speed, depth, variance, along, across = (
+            part if table.ndim == 2 else part.reshape(1, *table.shape[1:])
+            for table, part in zip(tables, taken, strict=True)
+        )
+        if count is not None:
+            amount = amount * count.to(amount.dtype)
+        linear = depth * amount, variance * amount
+        return AtRate(bounds, torch.exp(outline), torch.exp(speed), *linear, along, across, falls, count)
 
     # ---- listed particles --------------------------------------------------------------------------------------
 
@@ -377,7 +401,7 @@ class Population(nn.Module):
                     yield self._marks(state, part, tables, None)
 
     def _every_point(self, state: CameraState, noise: Mapping[str, Tensor], shells: Sequence[int]) -> _Points:
-        """All slots of some shells, as a graph has them.
+        """All slots of some shells, as a graph has them: ``(5, P)``, the number of the shell last.
 
         Raises:
             InputValueError: there are several samples.
@@ -389,8 +413,8 @@ class Population(nn.Module):
         names = [f"{self.weather.kind}_shell_{number}" for number in shells]
         # The shell's number is a column more.
         each = [pad(noise[name], (0, 1), value=float(n)) for name, n in zip(names, shells, strict=True)]
-        points = torch.cat(each, 1)[0].to(state.image.signal.device)
-        return _Points(points[:, :COLUMNS], None, points[:, COLUMNS].long())
+        points = torch.cat(each, 1).reshape(-1, COLUMNS + 1).to(state.image.signal.device)
+        return _Points(rows_as_columns(points), None, 0)
 
     def _points_of(
         self,
@@ -496,8 +520,12 @@ class Population(nn.Module):
             some = (points[:, COLUMN_LEVEL] < _of_shell(limit, shell)).nonzero().squeeze(1)
             points = points.index_select(0, some)
             shell = shell.index_select(0, some) if isinstance(shell, Tensor) else shell
-        columns = points.T if is_exporting() else points.T.contiguous()
-        drawn_u, drawn_v, drawn_depth, drawn_level = (columns[k] for k in range(COLUMNS))
+        if is_exporting():
+            # What is one number a point is (1, P).
+            drawn_u, drawn_v, drawn_depth, drawn_level, shell = parts_of(points, (1,) * (COLUMNS + 1))
+            shell = shell.long()
+        else:
+            drawn_u, drawn_v, drawn_depth, drawn_level = points.T.contiguous()
         # A level below the cut's is a particle at this rate.
         thinning = _own(self._thinning(state, tables), sample)
         level = drawn_level + part.copy if part.copy else drawn_level
@@ -505,23 +533,36 @@ class Population(nn.Module):
         most: Tensor = self.tails_most  # type: ignore[assignment]
         nodes = quantiles.shape[-1]
         cell, share = _cell(drawn_depth * (nodes - 1), nodes)
-        if isinstance(shell, Tensor):
+        left_out = False  # what is not shown, in a graph
+        if isinstance(shell, Tensor) and is_exporting():
+            cut_level, most_level, foot, *reach = self._of_shells(tables, cell, share, shell)
+        elif isinstance(shell, Tensor):
             cut_level = _read(_row_of(tables.bounds, _whole(sample)), cell, share, shell)
         else:
             cut_level = _read(tables.bounds[:, shell], cell, share, sample)
+        if not is_exporting():
+            most_level = _read(most.float(), cell, share, shell)
         if not self.camera.distorted:
-            log_level = torch.log(level.clamp_min(FLOOR)) + _read(most.float(), cell, share, shell) + thinning
+            log_level = torch.log(level.clamp_min(FLOOR)) + most_level + thinning
             shown = (drawn_level < ABSENT) & (log_level < cut_level)
-            if not is_exporting():
+            if is_exporting():
+                if tables.banks is None:
+                    shown = shown & self._in_range(foot * focal) & tables.falls
+                    left_out = True
+                    columns = columns_at(torch.cat([drawn_u, drawn_v, log_level, foot, *reach]), _places(shown))
+                    drawn_u, drawn_v, log_level, foot, *reach = parts_of(columns, (1,) * (4 + len(reach)))
+            else:
                 seen = shown.nonzero().squeeze(1)
                 drawn_u, drawn_v, cell, share, log_level, cut_level, shown = (
                     one.index_select(0, seen) for one in (drawn_u, drawn_v, cell, share, log_level, cut_level, shown)
                 )
                 shell = shell.index_select(0, seen) if isinstance(shell, Tensor) else shell
-        foot = _read(quantiles.float(), cell, share, shell)
-        reach_u, reach_v = (_of_shell(reach, shell) for reach in self._reaches(points))
-        u = drawn_u * (width + 2 * reach_u) - (reach_u + 0.5)
-        v = drawn_v * (height + 2 * reach_v) - (reach_v + 0.5)
+        if not is_exporting():
+            foot = _read(quantiles.float(), cell, share, shell)
+            reach_u, reach_v = (_of_shell(reach, shell) for reach in self._reaches(points))
+            reach = [2 * reach_u, reach_u + 0.5, 2 * reach_v, reach_v + 0.5]
+        u = drawn_u * (width + reach[0]) - reach[1]
+        v = drawn_v * (height + reach[2]) - reach[3]
         depth_m = foot * _own(focal, sample)
         stays = state.air.path_tangent is None and state.receiver.row_time_s is None
         if blocks is not None and stays and not self.camera.distorted:
@@ -538,20 +579,25 @@ class Population(nn.Module):
         if self.camera.distorted:
             scale = self.camera.magnification(x, y)
             enlarged = enlarged * scale
-            log_level = torch.log(level.clamp_min(FLOOR)) + _read(most.float(), cell, share, shell)
-            log_level = log_level + thinning + torch.log(scale)
+            log_level = torch.log(level.clamp_min(FLOOR)) + most_level + thinning + torch.log(scale)
             shown = (drawn_level < ABSENT) & (log_level < cut_level)
         if tables.banks is not None:
             # So far every place was the densest one: the rest of the slots' particles are not there.
             densest = _own(tables.banks.density.flatten(1).amax(1), sample)
             log_level = log_level + torch.log(densest / self._density(tables.banks, u, v, depth_m, own, sample))
             shown = shown & (log_level < cut_level)
-        shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
+        if left_out:
+            shown = depth_m.new_ones(1, dtype=torch.bool)
+        elif is_exporting():
+            shown = shown & self._in_range(depth_m)
+        else:
+            shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
         if state.air.particle_reach_m is not None:
             shown = shown & (depth_m <= _own(state.air.particle_reach_m, sample))
         if part.copy and tables.count is not None:
             shown = shown & _own(tables.count > 1, sample)
-        shown = shown & _own(tables.falls, sample)
+        if not left_out:
+            shown = shown & _own(tables.falls, sample)
         stop, above = _cell((log_level - t.log_level_low) / t.log_level_step, tables.outline_m.shape[1])
         outline_m = _read(tables.outline_m, stop, above, sample)
         speed = _read(tables.fall_speed, stop, above, sample)
@@ -569,11 +615,29 @@ class Population(nn.Module):
             motion_u_px=motion_u,
             motion_v_px=motion_v,
             width_px=width_px,
-            opacity=opacity * shown,
+            opacity=torch.where(shown, opacity, 0.0) if is_exporting() else opacity * shown,
             depth_m=depth_m,
         )
         row_time_s = state.receiver.row_time_s
         return marks if row_time_s is None else self._row_by_row(marks, _own(row_time_s, sample))
+
+    def _in_range(self, depth_m: Tensor) -> Tensor:
+        """True where a depth is one of the particles'."""
+        return depth_m.clamp(self.near_m, self.far_m) == depth_m
+
+    def _of_shells(self, tables: AtRate, cell: Tensor, share: Tensor, shell: Tensor) -> list[Tensor]:
+        """Level of the cut, highest level, footprint, twice the reach and half a pixel more than the reach, of each
+        point ``(1, P)`` of a graph, each as shaped; the reach along both axes."""
+        quantiles: Tensor = self.footprints  # type: ignore[assignment]
+        most: Tensor = self.tails_most  # type: ignore[assignment]
+        nodes = quantiles.shape[-1]
+        reaches = self._reaches(quantiles.float())
+        widened = [value[:, None].expand(-1, nodes) for each in reaches for value in (2 * each, each + 0.5)]
+        fixed = torch.stack([most.float(), quantiles.float(), *widened]).flatten(1)
+        table = torch.cat([tables.bounds.reshape(1, -1), fixed])
+        at = shell * nodes + cell
+        low, high = columns_at(table, at), columns_at(table, at + 1)
+        return parts_of(low + share * (high - low), (1,) * len(table))
 
     def _reaches(self, like: Tensor) -> tuple[Tensor, Tensor]:
         """``reach_px`` of every shell, ``(shells,)`` each."""
@@ -586,7 +650,8 @@ class Population(nn.Module):
     ) -> Tensor:
         """Density where each of the points is, ``(P,)``."""
         azimuth_rad, level = over_ground(self.camera, *self.undistorted(u, v, own))
-        return banks.at_points(azimuth_rad, level * depth_m, sample).clamp_min(FLOOR)
+        found = banks.at_points(azimuth_rad.reshape(-1), (level * depth_m).reshape(-1), sample)
+        return found.reshape(u.shape).clamp_min(FLOOR)
 
     def _row_by_row(self, marks: Marks, row_s: Tensor) -> Marks:
         """Marks of a rolling shutter, which exposes each row later by ``row_s``, ``()`` or ``(P,)``.
@@ -633,7 +698,7 @@ class Population(nn.Module):
             blurred = blurred + (self.optics.aperture_m / foot * out_of_focus).square()
         sharp = self.optics.aperture_m == 0 and self.optics.lens_blur_px == 0
         width = diameter if sharp else torch.sqrt(blurred)
-        opacity = torch.ones_like(diameter) if sharp else square / blurred
+        opacity = diameter.new_ones(1 if is_exporting() else diameter.shape) if sharp else square / blurred
         if self.optics.published_blend:
             opacity = opacity * (1 + diameter) / diameter
         return width, opacity
@@ -738,7 +803,8 @@ class Population(nn.Module):
     ) -> tuple[Tensor, Tensor | None]:
         """``listed_depth`` of every slot of one sample, of all shells in one pass, as a graph holds it."""
         height, width = state.image.signal.shape[-2:]
-        depth = state.scene.depth_m.float().reshape(-1)
+        depth_m = state.scene.depth_m.float()
+        depth = depth_m.reshape(1, -1)
         total = torch.zeros_like(depth)
         faded = torch.zeros_like(total) if fog_per_m is not None or lit else None
         every = self._every_point(state, noise, range(len(self.tables.listed)))
@@ -746,8 +812,7 @@ class Population(nn.Module):
             marks = self._marks(state, part, tables, None)
             marks = self._through_the_air(marks, state, part.sample, fog_per_m, lit=lit)
             total, faded = add_pairs(total, faded, marks, depth, (height, width))
-        shape = (1, 1, height, width)
-        return total.view(shape), None if faded is None else faded.view(shape)
+        return shaped_as(total, depth_m), None if faded is None else shaped_as(faded, depth_m)
 
     def _clearness(self, marks: Marks, state: CameraState, fog_per_m: Tensor, sample: Tensor | int | None) -> Tensor:
         """Share of each particle's light that the fog lets through, along its ray."""
@@ -765,8 +830,17 @@ class Population(nn.Module):
         assert state.air.lamp_light is not None
         size = state.image.signal.shape[-2:]
         values = self.lamp_values(state).expand(state.batch, -1, -1, -1, -1)
-        place = (sample, marks.u_px, marks.v_px, marks.depth_m, (size[0], size[1]))
-        return state.air.lamp_light.at_points(values, *place)
+        u_px, v_px, depth_m = (each.reshape(-1) for each in (marks.u_px, marks.v_px, marks.depth_m))
+        found = state.air.lamp_light.at_points(values, sample, u_px, v_px, depth_m, (size[0], size[1]))
+        return found.reshape(marks.u_px.shape)
+
+
+def trimmed(table: Tensor, taps: tuple[int, ...]) -> Tensor:
+    """Weights ``(..., J, 2 most + 1)`` of a kernel ``(..., J, weights)`` as far as each shell's taps count."""
+    most, middle = max(taps), table.shape[-1] // 2
+    own = table[..., middle - most : middle + most + 1]
+    counts = np.abs(np.arange(-most, most + 1)) <= np.array(taps)[:, None]
+    return own * torch.from_numpy(counts.astype(np.float32)).to(own)
 
 
 def mark_growth(x: Tensor, y: Tensor) -> Tensor:
@@ -791,6 +865,8 @@ def _displaced(points: Tensor, copy: int) -> Tensor:
 
 def _own(values: Tensor, sample: Tensor | int | None) -> Tensor:
     """Values of each point's sample, from one row for each sample or one for all; rows are gathered at a cost."""
+    if is_exporting() and len(values) == 1:  # of one sample, and broadcast
+        return values
     if sample is None or isinstance(sample, int):
         return _row_of(values, sample or 0)
     return values[0] if not is_exporting() and len(values) == 1 else values[sample]
@@ -799,6 +875,11 @@ def _own(values: Tensor, sample: Tensor | int | None) -> Tensor:
 def _row_of(values: Tensor, row: int) -> Tensor:
     """Values of one sample, from one row for each sample or one for all."""
     return values[row if len(values) > 1 else 0]
+
+
+def _places(mask: Tensor) -> Tensor:
+    """Places ``(1, n)`` where a mask ``(1, P)`` is true."""
+    return torch.nonzero(mask).T[1:]
 
 
 def _whole(sample: Tensor | int | None) -> int:
@@ -818,15 +899,19 @@ def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
 
 
 def _at(values: Tensor, place: Tensor) -> Tensor:
-    """Entries of ``(n,)`` at places ``(P,)``; of two equal operations, that which is fast in torch or in a graph."""
-    return values.gather(0, place) if is_exporting() else values.index_select(0, place)
+    """Entries of ``(n,)`` at places ``(P,)``, in a graph ``(1, P)``, by what is fast in torch or in a graph."""
+    if is_exporting():
+        return (values if values.ndim == 2 else values[None]).gather(1, place)
+    return values.index_select(0, place)
 
 
 def _read(table: Tensor, cell: Tensor, share: Tensor, row: Tensor | int | None = None) -> Tensor:
     """``table (n,)``, or ``table (1 or more, n)`` at a row for each or for all, between ``cell`` and ``cell + 1``."""
     if isinstance(row, Tensor) and (is_exporting() or table.numel() > table.shape[-1]):
         at, flat = row * table.shape[-1] + cell, table.reshape(-1)
+    elif is_exporting() or table.ndim == 1:
+        at, flat = cell, table
     else:
-        at, flat = cell, table if table.ndim == 1 else _row_of(table, row if isinstance(row, int) else 0)
+        at, flat = cell, _row_of(table, row if isinstance(row, int) else 0)
     low, high = _at(flat, at), _at(flat, at + 1)
     return low + share * (high - low) if is_exporting() else torch.lerp(low, high, share)

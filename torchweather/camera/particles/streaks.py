@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.particles.depth_blocks import BLOCK_PX, DepthBlocks
+from torchweather.pipeline.graph_operations import columns_as_rows, parts_of, rows_as_columns, rows_at
 from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["Marks", "add_listed", "add_pairs"]
@@ -93,10 +94,14 @@ def _each(entries: D, function: Callable[[Tensor], Tensor]) -> D:
 
 def chord_share(offset: Tensor) -> Tensor:
     """Share of a disk of unit width that lies left of ``offset`` from its centre, in [0, 1]."""
-    t = (2 * offset).clamp(-1, 1)
+    return 0.5 + _chord_series((2 * offset).clamp(-1.0, 1.0))
+
+
+def _chord_series(t: Tensor) -> Tensor:
+    """Share of a disk that lies left of ``t`` radii from its centre, in [-1, 1], less a half."""
     square = t * t
     c0, c1, c2, c3 = CHORD_SERIES
-    return 0.5 + t * (c0 + square * (c1 + square * (c2 + square * c3)))
+    return t * (c0 + square * (c1 + square * (c2 + square * c3)))
 
 
 def trapezoid_share(offset_px: Tensor, length_px: Tensor, chord_px: Tensor) -> Tensor:
@@ -224,37 +229,33 @@ def add_pairs(
 ) -> tuple[Tensor, Tensor | None]:
     """``add_listed`` by one list of all (mark, pixel) pairs, which a graph holds as few operations.
 
-    Nothing but the length of the list depends on a value. The arguments are those of ``add_listed``; the sums are new
-    tensors.
+    Nothing but the length of the list depends on a value. The arguments are those of ``add_listed``, but one row each,
+    ``(1, ...)``, of which onnxruntime takes numbers fast; the sums are new tensors.
     """
     height, width = size
     frame = _frame(marks)
     first, end, end_aside = frame.first_major.clamp_min(0.0), height - 1.0, width - 1.0
-    last = torch.floor(frame.major + 0.5 * (frame.length + frame.chord_most) + 0.5)
+    beyond = torch.floor(frame.major + 0.5 * (frame.length + frame.chord_most) + 1.5)  # the row after the last one
     if frame.slope is None or frame.steep is None:
-        last = last.clamp_max(end)
-        columns = torch.floor(frame.minor + 0.5 * frame.across + 0.5) - frame.first_minor + 1
+        beyond = beyond.clamp_max(end + 1.0)
+        columns = torch.floor(frame.minor + 0.5 * frame.across + 1.5) - frame.first_minor
     else:
-        last = torch.minimum(last, torch.where(frame.steep, end, end_aside))
+        beyond = torch.minimum(beyond, torch.where(frame.steep, end, end_aside) + 1.0)
         columns = torch.floor(frame.across) + 2
-    rows = torch.where(frame.area > 0, last - first + 1, 0.0).clamp_min(0)
+    rows = torch.where(frame.area > 0, beyond - first, 0.0).clamp_min(0.0)
     number = (rows * columns).long()
-    start = torch.cumsum(number, 0) - number
+    start = torch.cumsum(number, 1) - number
     pairs: int = number.sum().item()  # type: ignore[assignment]  # int() would fix the number in a graph
     if is_exporting():
         torch._check(pairs >= 0)  # type: ignore[no-untyped-call]
     # Marks that begin up to a pair, less one, are the pair's mark.
-    begun = torch.zeros(pairs + 1, device=start.device, dtype=start.dtype).scatter_add(0, start, torch.ones_like(start))
-    mark = torch.cumsum(begun[:pairs], 0) - 1
-
-    def of(value: Tensor) -> Tensor:
-        return value.gather(0, mark)  # ten times as fast in onnxruntime as index_select
-
-    own = _each(frame, of)
-    columns = of(columns)
-    place = (torch.arange(pairs, device=mark.device) - of(start)).to(columns.dtype)
+    begun = torch.zeros(1, pairs + 1, device=start.device, dtype=start.dtype)
+    begun = begun.scatter_add(1, start, torch.ones_like(start))
+    mark = torch.cumsum(begun[:, :pairs], 1) - 1
+    own, columns, down = _of_pairs(frame, columns, first, mark)
+    place = (torch.arange(pairs, device=mark.device) - start.gather(1, mark)).to(columns.dtype)
     row = torch.floor((place + 0.5) / columns)
-    down, column = of(first) + row, place - row * columns
+    down, column = down + row, place - row * columns
     offset = down - own.major
     minor, first_minor = own.minor, own.first_minor
     if own.slope is not None:
@@ -264,26 +265,61 @@ def add_pairs(
     # Two edges of the pixel along and aside, (2, pairs).
     edges = torch.tensor([[-0.5], [0.5]], device=mark.device)
     side, reach = (aside - minor) + edges, 0.5 * own.across
-    share = _between(chord_share(side / own.across))
+    share = _between(_chord_series((side / reach).clamp(-1.0, 1.0)))
     chord = _chord_of_columns(own, share, _between(torch.maximum(torch.minimum(side, reach), -reach)))
-    coverage = own.area * share * _between(trapezoid_share(offset + edges, own.length, chord))
-    inside = (aside >= 0) & (aside <= (end_aside if own.steep is None else torch.where(own.steep, end_aside, end)))
+    along = _between(_rising(offset + edges, own.length, chord)) / (2 * own.length * chord)
+    coverage = own.area * share * along
+    if own.steep is None:
+        inside = aside.clamp(0.0, end_aside) == aside
+    else:
+        inside = (aside >= 0) & (aside <= torch.where(own.steep, end_aside, end))
     if own.steep is not None:
         down, aside = torch.where(own.steep, down, aside), torch.where(own.steep, aside, down)
-    pixel = (down.long() * width + aside.long()).clamp(0, height * width - 1)
+    pixel = torch.where(inside, down.long() * width + aside.long(), 0)
     if own.sample is not None:
         pixel = pixel + own.sample * (height * width)
-    seen = inside & (own.depth_m < depth_m.gather(0, pixel))
-    optical = -torch.log1p(-torch.where(seen, coverage, 0.0).clamp(0.0, FULL))
-    total = total.scatter_add(0, pixel, optical)
+    seen = inside & (own.depth_m < depth_m.gather(1, pixel))
+    optical = -torch.log(1.0 - torch.where(seen, coverage, 0.0).clamp(0.0, FULL))  # ONNX has no log1p
+    total = total.scatter_add(1, pixel, optical)
     if faded is not None and own.clearness is not None:
-        faded = faded.scatter_add(0, pixel, optical * own.clearness)
+        faded = faded.scatter_add(1, pixel, optical * own.clearness)
     return total, faded
 
 
+def _of_pairs(frame: _Frame, columns: Tensor, first: Tensor, mark: Tensor) -> tuple[_Frame, Tensor, Tensor]:
+    """Marks, number of columns and first row of each pair, from those of the marks, all ``(1, n)``; one lookup.
+
+    Args:
+        frame: the marks.
+        columns, first: of each mark.
+        mark: of each pair.
+    """
+    present = {field.name: getattr(frame, field.name) for field in fields(frame)}
+    names = [name for name, value in present.items() if value is not None and name not in ("sample", "first_major")]
+    values = [*(present[name] for name in names), columns, first]
+    every = torch.cat([value.to(first.dtype) for value in values])
+    of_pairs = rows_as_columns(rows_at(columns_as_rows(every), mark[0]))
+    *found, own_columns, own_first = parts_of(of_pairs, (1,) * len(values))
+    own: dict[str, Any] = dict(zip(names, found, strict=True))
+    if "steep" in own:
+        own["steep"] = own["steep"] > 0.5
+    if frame.sample is not None:
+        own["sample"] = frame.sample.gather(1, mark)
+    return replace(frame, **own), own_columns, own_first
+
+
+def _rising(offset: Tensor, length: Tensor, chord: Tensor) -> Tensor:
+    """``trapezoid_share`` times twice its lengths, from the lower end on."""
+    whole = length + chord
+    place = torch.minimum((offset + 0.5 * whole).clamp_min(0.0), whole)
+    over = (place - torch.minimum(length, chord)).clamp_min(0.0), (place - torch.maximum(length, chord)).clamp_min(0.0)
+    return place.square() - over[0].square() - over[1].square()
+
+
 def _between(edges: Tensor) -> Tensor:
-    """Share between two edges, of a distribution function at them, ``(2, P)``."""
-    return edges[1] - edges[0]
+    """Share between two edges, of a distribution function at them, ``(2, pairs)``."""
+    low, high = parts_of(edges, (1, 1))
+    return high - low
 
 
 def add_listed(

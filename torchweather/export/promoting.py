@@ -1,0 +1,59 @@
+"""Casts of operands of mixed types, found from the values that a traced program already holds.
+
+``torch.onnx.export`` runs the whole program once more, on tensors without data, to find where an operand needs a cast.
+Every node of a traced program holds the type of what it gives, so that only the operations that do get a cast are run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from torch import fx
+from torch.onnx._internal.exporter import _fx_passes
+from torch.onnx._internal.fx.passes import type_promotion
+
+__all__ = ["promoting_by_held_types"]
+
+
+class _Promotion(type_promotion._TypePromotionInterpreter):
+    """The interpreter of torch's pass, which takes each node's value from the node."""
+
+    def run_node(self, n: fx.Node) -> Any:
+        """Give what the node holds; its operands get their casts."""
+        if n.op == "output":
+            return None
+        rule = type_promotion.get_type_promotion_rule(n, self.type_promotion_table)
+        if rule:
+            with self._set_current_node(n):
+                self._maybe_promote_node(n, rule)
+        return n.meta.get("val")
+
+
+def _insert(graph_module: fx.GraphModule) -> bool:
+    """Casts in a program, in place; ``False`` where a node does not hold what it gives."""
+    nodes = [node for node in graph_module.graph.nodes if node.op == "call_function"]
+    if any("val" not in node.meta for node in nodes) or len([*graph_module.modules()]) != 1:
+        return False
+    promotion = type_promotion.InsertTypePromotion(graph_module)
+    promotion.interpreter = _Promotion(graph_module, type_promotion.TypePromotionTable())
+    promotion.run()
+    return True
+
+
+@contextmanager
+def promoting_by_held_types() -> Iterator[None]:
+    """While it is open, ``torch.onnx.export`` inserts casts in this way."""
+    whole: Callable[[fx.GraphModule], None] = _fx_passes.insert_type_promotion_nodes
+
+    def insert(graph_module: fx.GraphModule) -> None:
+        if not _insert(graph_module):
+            whole(graph_module)
+
+    passes = vars(_fx_passes)
+    passes[whole.__name__] = insert
+    try:
+        yield
+    finally:
+        passes[whole.__name__] = whole
