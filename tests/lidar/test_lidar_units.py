@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.core.errors import TorchweatherWarning
-from torchweather.lidar.clouds import check_points
+from torchweather.lidar.clouds import _too_bright, check_points
 from torchweather.sensors import Lidar
 
 
@@ -65,3 +65,10 @@ def test_a_few_points_above_eight_bits_do_not_make_photons() -> None:
     assert "2 of 992 lie above 255" in text
     assert "nine tenths lie at 90 or below" in text
     assert "photons" not in text
+
+
+@pytest.mark.parametrize(("bright", "says"), [(1, False), (2, True)])
+def test_a_tenth_of_bright_returns_is_no_evidence_against_reflectivity(bright: int, says: bool) -> None:
+    """Nine of ten values at 4 or below hold the 90 % quantile down; eight of ten do not."""
+    intensity = torch.tensor([0.0] * 5 + [4.0] * (10 - bright) + [30.0] * bright)
+    assert bool(_too_bright(intensity, "reflectivity")) == says

@@ -16,6 +16,19 @@ SENSOR_ORIGIN = "torchweather.lidar.sweep.sensor_origin"
 
 MUTANTS = (
     Mutant(
+        "bright_returns_counted_as_dim_ones",
+        "the bulk of a cloud's intensities is that of those above 0",
+        "torchweather.lidar.clouds",
+        "if dim >= max(1, round(BULK * number)):",
+        "if number >= max(1, round(BULK * number)):",
+        (
+            (
+                "tests/lidar/test_lidar_units.py::"
+                "test_a_tenth_of_bright_returns_is_no_evidence_against_reflectivity[2-True]"
+            ),
+        ),
+    ),
+    Mutant(
         "compiled_rows_of_no_point",
         "a cloud without points is not raised by compiled loops",
         "torchweather.lidar.cloud_frame",
