@@ -53,7 +53,7 @@ These names are public: {number} in {modules} modules. Everything else may chang
 module holds.
 
 - A public name that goes, or gets another name or place, works for one more minor release. Its use gives a
-  `DeprecationWarning` that says what to write instead.
+  `DeprecationWarning` that names what to write instead.
 - Arguments of public functions count as public names; so do the keys of recipes, studies, manifests and JSON output.
 - A change of results is named in the [changelog](../CHANGELOG.md). The draws of a seed are a rule of their own:
   [conventions](conventions.md#seeds).
