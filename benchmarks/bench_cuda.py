@@ -22,8 +22,8 @@ import torch
 from measure import hand_over, machine, times_ms
 
 import torchweather as tw
+from torchweather.atmosphere.weather import Weather
 from torchweather.scenes import lidar_view, test_track
-from torchweather.weather import Weather
 
 BATCH = 8
 WEATHERS: dict[str, Weather] = {"rain": tw.Rain(10.0), "snow": tw.Snow(1.5), "fog": tw.Fog(mor_m=80.0)}

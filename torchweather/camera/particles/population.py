@@ -776,13 +776,13 @@ class Population(nn.Module):
         totals, fadeds = [], []
         for row in range(b):
             own_depth = flat[row if len(flat) > 1 else 0]
-            total = torch.zeros_like(own_depth)
+            total = torch.zeros_like(own_depth)[None]
             faded = torch.zeros_like(total) if fog_per_m is not None or lit else None
             for portion in self._points_of(state, noise, tables, row, range(len(self.tables.listed))):
                 for part in self._parts_of(state, portion, tables):
                     marks = self._marks(state, part, tables, blocks.of_sample(row))
                     marks = self._through_the_air(marks, state, part.sample, fog_per_m, lit=lit)
-                    total, faded = add_pairs(total, faded, marks, own_depth, (height, width))
+                    total, faded = add_pairs(total, faded, marks.as_row(), own_depth[None], (height, width))
             totals.append(total)
             fadeds += [] if faded is None else [faded]
         shape = (b, 1, height, width)

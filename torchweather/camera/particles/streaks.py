@@ -81,6 +81,10 @@ class Marks:
         """The entries of a slice."""
         return _each(self, lambda value: value[index])
 
+    def as_row(self) -> Marks:
+        """The entries ``(1, P)``, as ``add_pairs`` takes them."""
+        return _each(self, lambda value: value[None])
+
 
 D = TypeVar("D", "Marks", "_Frame")
 
