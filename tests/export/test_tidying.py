@@ -17,6 +17,8 @@ pytest.importorskip("onnxscript")
 import onnx
 import onnx_ir
 from onnx import TensorProto, helper, numpy_helper
+from torch.onnx._internal.exporter import _fx_passes
+from torch.onnx._internal.fx.passes import type_promotion
 
 from torchweather.atmosphere.weather import Rain, Snow
 from torchweather.export import to_onnx
@@ -123,6 +125,16 @@ class Mixed(torch.nn.Module):
 
     def forward(self, x: Tensor, n: Tensor) -> Tensor:
         return torch.where(n > 1.5, x * n, x + 1) / (n + 2) - n.clamp_min(1) * (x > 0)
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_parts_that_another_torch_lacks_are_not_needed(missing: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = vars(_fx_passes)["insert_type_promotion_nodes"]
+    if missing:
+        monkeypatch.delattr(type_promotion, "InsertTypePromotion")
+    with promoting_by_held_types():
+        assert (vars(_fx_passes)["insert_type_promotion_nodes"] is before) == missing
+    assert vars(_fx_passes)["insert_type_promotion_nodes"] is before
 
 
 @pytest.mark.filterwarnings("ignore")  # torch's own

@@ -230,13 +230,20 @@ def _few_records() -> Iterator[None]:
 
     Of sizes that are symbols, keeping such a tensor takes longer than making it: 30 % of a capture.
     """
-    before = torch.fx.config.do_not_emit_stack_traces
-    torch.fx.config.do_not_emit_stack_traces = True
+    switches = [
+        (torch.fx.config, "do_not_emit_stack_traces", True),
+        (torch._dynamo.config, "fake_tensor_cache_enabled", False),
+    ]
+    known = [
+        (config, name, getattr(config, name), wanted) for config, name, wanted in switches if hasattr(config, name)
+    ]
+    for config, name, _, wanted in known:
+        setattr(config, name, wanted)
     try:
-        with torch._dynamo.config.patch(fake_tensor_cache_enabled=False):
-            yield
+        yield
     finally:
-        torch.fx.config.do_not_emit_stack_traces = before
+        for config, name, before, _ in known:
+            setattr(config, name, before)
 
 
 def tidy(model: Any) -> None:
