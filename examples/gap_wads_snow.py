@@ -61,9 +61,9 @@ def main() -> None:
     arguments = parser.parse_args()
     folder = recordings(arguments.data, "wads_snow")
     if len(list((folder / "velodyne").glob("*.bin"))) < 2:
-        sys.exit(f"{folder}: wanted two frames or more in velodyne/*.bin, one to hold out")
+        sys.exit(f"{folder}: expected two frames or more in velodyne/*.bin, one to hold out")
     if arguments.scans < 2:
-        parser.error(f"--scans: wanted 2 or more; got {arguments.scans}")
+        parser.error(f"--scans: expected 2 or more; got {arguments.scans}")
 
     rows = [["mm/h", "read", "verdict", "times", "gap", "after", "floor", "departs most", "missing"]]
     for rate in arguments.rates:

@@ -79,9 +79,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for the page of the first half of each set")
     given = parser.parse_args()
     if given.halves < 1:
-        parser.error(f"--halves: wanted 1 or more; got {given.halves}")
+        parser.error(f"--halves: expected 1 or more; got {given.halves}")
     if not 0.0 <= given.reference_sd < 1.0:
-        parser.error(f"--reference-sd: wanted a relative standard deviation in 0..1; got {given.reference_sd:g}")
+        parser.error(f"--reference-sd: expected a relative standard deviation in 0..1; got {given.reference_sd:g}")
     gothenburg, germany = (folder_of(file, given.data) for file in ("openMRG_example.nc", "example_cml_data.nc"))
     if not germany and not gothenburg:
         sys.exit(

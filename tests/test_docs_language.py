@@ -237,7 +237,7 @@ def check(x, name):
     found = sorted(messages(ast.parse(source)))
     assert [line for line, _ in found] == [4, 5, 6, 6]
     assert [text for _, text in found] == [
-        "X: wanted a thing X; got none.",
+        "X: expected a thing X; got none.",
         "A wordy text here. X",
         "too long a text",
         "too short a X",

@@ -126,7 +126,7 @@ def test_without_link_files_the_example_says_where_it_looks(tmp_path: Path) -> N
 def test_a_reference_that_is_off_by_all_or_less_than_nothing_is_refused(given: str, tmp_path: Path) -> None:
     done = run_example(EXAMPLE, ["--data", ".", f"--reference-sd={given}"], tmp_path)
     assert done.returncode == 2
-    assert "--reference-sd: wanted" in done.stderr
+    assert "--reference-sd: expected" in done.stderr
 
 
 def column(text: str, label: str) -> list[float]:

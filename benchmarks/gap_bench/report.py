@@ -25,7 +25,9 @@ def folder_and_families(given: str) -> tuple[Path, list[str]]:
         return Path(given), []
     families = listed.split(",")
     if not set(families) <= set(FAMILIES):
-        raise SystemExit(f"{given}: wanted a folder, or one with :{','.join(FAMILIES)} or some of these; got {listed}.")
+        raise SystemExit(
+            f"{given}: expected a folder, or one with :{','.join(FAMILIES)} or some of these; got {listed}."
+        )
     return Path(folder), families
 
 
@@ -40,7 +42,7 @@ def report(arguments: argparse.Namespace) -> None:
         if strange:
             raise SystemExit(f"{folder}: {', '.join(strange)} were answered under another seal; answer them again.")
         if seals and seal["sensor"] != seals[0]["sensor"]:
-            raise SystemExit(f"{folder}: wanted a set of sensor {seals[0]['sensor']}; got {seal['sensor']}.")
+            raise SystemExit(f"{folder}: expected a set of sensor {seals[0]['sensor']}; got {seal['sensor']}.")
         seals.append({**seal, "families": families} if families else seal)
         truths |= {case: one for case, one in truth_of(folder).items() if not families or one["family"] in families}
         answers += lines

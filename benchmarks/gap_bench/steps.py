@@ -29,7 +29,7 @@ def make(arguments: argparse.Namespace) -> None:
     groups = arguments.cases or list(sensor.usual)
     strange = sorted(set(groups) - set(sensor.groups))
     if strange:
-        raise SystemExit(f"--cases: wanted some of {', '.join(sensor.groups)}; got {', '.join(strange)}.")
+        raise SystemExit(f"--cases: expected some of {', '.join(sensor.groups)}; got {', '.join(strange)}.")
     cases = sensor.plan(arguments.set, arguments.seed, groups, arguments.small)
     cases = cases[arguments.skip :][: arguments.count]
     truth_path = folder / TRUTH
@@ -93,7 +93,7 @@ def part_of(cases: list[str], part: str | None) -> list[str]:
         return cases
     number, parts = (int(value) for value in part.split("/"))
     if not 1 <= number <= parts:
-        raise SystemExit(f"--part: wanted k/n with k from 1 to n; got {part}.")
+        raise SystemExit(f"--part: expected k/n with k from 1 to n; got {part}.")
     return cases[number - 1 :: parts]
 
 

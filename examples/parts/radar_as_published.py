@@ -79,7 +79,7 @@ def threshold_mw(radar: tw.Radar, cubes: Sequence[Tensor], points: int) -> float
     strongest = torch.cat(peaks).sort(descending=True).values
     last = points * len(cubes)
     if last >= len(strongest):
-        raise ValueError(f"threshold_mw: wanted {points} points a frame; the map has {len(strongest) // len(cubes)}.")
+        raise ValueError(f"threshold_mw: expected {points} points a frame; the map has {len(strongest) // len(cubes)}.")
     return float((strongest[last - 1] * strongest[last]).sqrt())
 
 

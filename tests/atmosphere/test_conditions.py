@@ -73,7 +73,7 @@ def test_the_command_line_has_short_names_of_its_own() -> None:
         ("wet-road:water=deep", r"WetRoad: water_mm must lie in 0..10 mm; got 'deep'"),
         ("wet-window:speed=80", r"WetWindow: speed_m_per_s must lie in 0..70 m/s"),
         ("wet-road:water=nan", r"water_mm must lie in 0..10 mm"),
-        ("wet-road+wet-road", "Mixture: wanted each kind once; got 2 times wet-road"),
+        ("wet-road+wet-road", "Mixture: expected each kind once; got 2 times wet-road"),
     ],
 )
 def test_what_is_wrong_is_named(text: str, said: str) -> None:

@@ -150,7 +150,7 @@ def test_a_table_counts_the_families_of_a_set_that_are_asked_for(folder, monkeyp
         written = json.loads((folder / "score" / "score.json").read_text())
         assert tuple(written["table"][name]["of"] for name in ("singles_exact", "pairs_both")) == counted
         assert written["sets"] == [{**seal, "families": given.rpartition(":")[2].split(",")}]
-    with pytest.raises(SystemExit, match=r"wanted a folder, or one with :null,single.*got singles"):
+    with pytest.raises(SystemExit, match=r"expected a folder, or one with :null,single.*got singles"):
         report.report(_arguments(folder, folders=[f"{folder}:singles"]))
 
 

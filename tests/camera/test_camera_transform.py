@@ -47,11 +47,11 @@ def depth(value: float = 20.0) -> Tensor:
         (torch.zeros(1, H, W, dtype=torch.int64), TypeError, "bayer must be uint8, uint16 or float in 0..1; got torch.int64"),  # noqa: E501
         (torch.zeros(1, H, W, dtype=torch.bool), TypeError, "got torch.bool"),
         (torch.zeros(1, H, W, dtype=torch.complex64), TypeError, "got torch.complex64"),
-        (torch.full((1, H, W), 300.0), ValueError, "the frame contradicts its description: wanted values up to 1 (float frames run from 0 to 1), without NaN; got up to 300"),  # noqa: E501
+        (torch.full((1, H, W), 300.0), ValueError, "the frame contradicts its description: expected values up to 1 (float frames run from 0 to 1), without NaN; got up to 300"),  # noqa: E501
         (torch.full((1, H, W), math.nan), ValueError, "without NaN; got up to nan"),
         (torch.full((1, H, W), math.inf), ValueError, "got up to inf"),
         (torch.full((1, H, W), -0.1), ValueError, "float frames must lie in 0..1; got -0.1. Subtract the black level and clip"),  # noqa: E501
-        (torch.full((1, H, W), 5000).to(torch.uint16), ValueError, "wanted values up to 4095, without NaN; got up to 5000. Set Camera(bit_depth=..., white_level=...)"),  # noqa: E501
+        (torch.full((1, H, W), 5000).to(torch.uint16), ValueError, "expected values up to 4095, without NaN; got up to 5000. Set Camera(bit_depth=..., white_level=...)"),  # noqa: E501
     ],
     ids=lambda value: None,
 )  # fmt: skip

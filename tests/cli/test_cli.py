@@ -462,7 +462,7 @@ def test_demo_takes_frames_with_camera_and_depth(run: Any, demo_calls: list[dict
         (["explain", "--weather", "fog:mor=30", "--sensor", "radar", "--polarisation", "x"], "h, v"),
         (["apply", "{frame}", "-o", "{out}"], "--weather"),
         (["apply", "--weather", "fog:mor=30", "{none}", "-o", "{out}"], "no such file"),
-        (["apply", "--weather", "fog:mor=30", "{text}", "-o", "{out}"], "wanted an image"),
+        (["apply", "--weather", "fog:mor=30", "{text}", "-o", "{out}"], "expected an image"),
         (["apply", "--weather", "fog:mor=30", "{cut}", "-o", "{out}"], "truncated"),
         (["apply", "--weather", "fog:mor=30", "{odd}", "-o", "{out}"], "must be even"),
         (["apply", "--weather", "fog:mor=30", "{frame}", "-o", "{here}"], "overwritten"),

@@ -90,4 +90,4 @@ def test_mistakes_are_told_in_one_line(
 def test_a_table_without_scores_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tables(tmp_path)
     assert main(["correlate", str(tmp_path / "ap.csv"), str(tmp_path / "ap.csv"), "--out", str(tmp_path / "out")]) == 2
-    assert "ap.csv: wanted the table of a sweep" in capsys.readouterr().err
+    assert "ap.csv: expected the table of a sweep" in capsys.readouterr().err

@@ -103,8 +103,8 @@ def no_weather() -> Study:
         (copies, "has 4 of 5 frames that repeat another one"),
         (nothing_held_out, "others held out; got 4 and 0"),
         (no_weather, "No condition has weather"),
-        (lambda: studies.study("camera"), "wanted 48 or more either way"),
-        (lambda: studies.study("radar"), "power_db: wanted targets that most clear frames have"),
+        (lambda: studies.study("camera"), "expected 48 or more either way"),
+        (lambda: studies.study("radar"), "power_db: expected targets that most clear frames have"),
         (lambda: studies.study("link"), "12 samples or more in a class of rain"),
     ],
 )

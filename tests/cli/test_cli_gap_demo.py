@@ -66,7 +66,7 @@ def test_the_search_has_the_folder_and_the_folder_does_not_tell(searched: dict[s
 def test_a_truth_that_was_changed_is_not_opened(searched: dict[str, Any], tmp_path: Path, capsys: Capture) -> None:
     searched["first"] = lambda: (tmp_path / "truth.json").write_text('{"effects": []}', encoding="utf-8")
     assert demo(tmp_path) == 2
-    assert "truth.json: wanted the file that was sealed before the search" in capsys.readouterr().err
+    assert "truth.json: expected the file that was sealed before the search" in capsys.readouterr().err
 
 
 def test_both_are_shown_side_by_side(searched: dict[str, Any], tmp_path: Path, capsys: Capture) -> None:
@@ -150,7 +150,7 @@ def test_a_study_of_another_demo_is_not_overwritten(searched: dict[str, Any], tm
     assert demo(tmp_path) == 0
     before = (tmp_path / "truth.json").read_bytes()
     assert demo(tmp_path, seed=NOTHING) == 2
-    assert "wanted a new or an empty folder" in capsys.readouterr().err
+    assert "expected a new or an empty folder" in capsys.readouterr().err
     assert (tmp_path / "truth.json").read_bytes() == before
 
 

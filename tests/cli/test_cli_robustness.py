@@ -228,7 +228,7 @@ def drawn_weather(folder: Path, command: list[str]) -> list[str]:
 WRONG: dict[str, tuple[Callable[[Path, list[str]], list[str]], str]] = {
     "decoder": (with_declaration(decoder="boxen"), "decoder must be one of boxes, yolov8"),
     "input": (with_declaration(input={"name": "picture"}), "the declaration names input 'picture'"),
-    "empty folder": (emptied("images"), "no images; wanted"),
+    "empty folder": (emptied("images"), "no images; expected"),
     "no truth": (emptied("annotations.json"), "expected JSON with ground truth, COCO's"),
     "truth of another frame": (renamed_frame, "no ground truth for x"),
     "no depth": (emptied("depth"), "no depth map for 0.png"),

@@ -107,7 +107,7 @@ def test_a_file_without_a_pose_is_named(run: Any, tmp_path: Path) -> None:
         "apply", path, "-o", tmp_path / "out", "--weather", STORM, *HDL, "--sensor-pose", tmp_path / "pose.txt"
     )
     assert code == 2
-    assert "pose.txt: wanted T_cloud_from_sensor" in err
+    assert "pose.txt: expected T_cloud_from_sensor" in err
 
 
 def test_the_place_of_a_lidar_is_none_of_a_camera(run: Any, tmp_path: Path) -> None:

@@ -130,7 +130,7 @@ def test_a_file_name_with_markup_is_text(run: Any, tmp_path: Path) -> None:
         (["{cloud}", *SNOW, "--sensor", "camera"], "--sensor must be lidar"),
         (["{cloud}", *SNOW, "--sensor", "lidar:velodine-hdl-64e"], "velodyne-hdl-64e"),
         (["{none}", *SNOW], "no such file"),
-        (["{text}", *SNOW], "wanted a point cloud"),
+        (["{text}", *SNOW], "expected a point cloud"),
         (["{cut}", *SNOW], "cut.bin"),
         (["{here}", *SNOW], "is a folder"),
         (["{cloud}", *SNOW, "--frame", "1"], "has no frame 1"),

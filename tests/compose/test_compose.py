@@ -366,7 +366,7 @@ def test_two_weathers_for_one_key_are_a_mixture() -> None:
 
 def test_what_is_no_weather_and_no_transform_is_refused() -> None:
     lidar = transforms()["points"]
-    refused("'points': wanted a transform of weather", lambda: tw.Compose({"points": torch.nn.ReLU()}), TypeError)
+    refused("'points': expected a transform of weather", lambda: tw.Compose({"points": torch.nn.ReLU()}), TypeError)
     refused("weather must be Rain", lambda: tw.Compose({"points": lidar}, weather=["rain"]), TypeError)
     refused("at least one key", lambda: tw.Compose({}))
     refused("p must lie", lambda: tw.Compose({"points": lidar}, p=1.5))
@@ -377,8 +377,8 @@ def test_what_is_no_weather_and_no_transform_is_refused() -> None:
     )
     fog = tw.LidarFog(tw.Fog(mor_m=50.0), LIDAR)
     refused("see one weather.*Say which with weather=", lambda: tw.Compose({"points": lidar, "rear": fog}))
-    refused("wanted a draw for each of 1", lambda: stormy()(sample(), draw=[Draw(1, None)] * 2))
-    refused("wanted seed and weather", lambda: Draw.from_dict({"seed": 1}))
+    refused("expected a draw for each of 1", lambda: stormy()(sample(), draw=[Draw(1, None)] * 2))
+    refused("expected seed and weather", lambda: Draw.from_dict({"seed": 1}))
 
 
 def test_a_chain_that_was_changed_by_hand_is_refused() -> None:

@@ -62,5 +62,5 @@ def test_a_chain_is_read_without_trust(tmp_path: Path) -> None:
     with pytest.raises(TorchweatherError, match="would inflate"):
         Chain.load(tmp_path / "bomb.zip")
     (tmp_path / "cut.zip").write_bytes((tmp_path / "good.zip").read_bytes()[:200])
-    with pytest.raises(TorchweatherError, match=r"cut\.zip: wanted a chain"):
+    with pytest.raises(TorchweatherError, match=r"cut\.zip: expected a chain"):
         Chain.load(tmp_path / "cut.zip")

@@ -72,7 +72,7 @@ def test_the_command_line_knows_ranges_where_they_are_wanted() -> None:
         (lambda: LogUniform(0, 5), "low must be above 0; got 0. Uniform takes 0"),
         (lambda: Choice([]), "one or more"),
         (lambda: Choice([1, 2], weights=[1]), "a weight of 0 or more for each of 2 values"),
-        (lambda: distribution_from({"unifrom": [1, 2]}, owner="rate"), "rate: wanted a number.*uniform"),
+        (lambda: distribution_from({"unifrom": [1, 2]}, owner="rate"), "rate: expected a number.*uniform"),
         (lambda: distribution_from({"uniform": [1]}, owner="rate"), r"rate: uniform must be \[low, high\]"),
         (lambda: distribution_from({"uniform": [1, 2], "weights": [1]}, owner="rate"), "choice also with weights"),
         (lambda: tw.Rain(rate_mm_per_h=(-1, 5)), "rate_mm_per_h must lie .*mm/h.*got -1"),

@@ -131,11 +131,11 @@ def test_nuscenes_json_as_a_list_and_as_results(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "again.json").read_text()) == notes
     path.write_text(json.dumps({"meta": {}, "results": {"a": notes[:1], "b": notes[1:]}}))
     assert read_nuscenes_boxes(path, sample_token="b").names == ("bus",)
-    with pytest.raises(TorchweatherError, match="wanted sample_token, one of 2 samples"):
+    with pytest.raises(TorchweatherError, match="expected sample_token, one of 2 samples"):
         read_nuscenes_boxes(path)
     path.write_text("[]")
     assert len(read_nuscenes_boxes(path)) == 0
-    for text, message in (("{", "wanted json"), ("3", "a list of"), ('[{"size": [1]}]', "annotation 0: .*KeyError")):
+    for text, message in (("{", "expected json"), ("3", "a list of"), ('[{"size": [1]}]', "annotation 0: .*KeyError")):
         path.write_text(text)
         with pytest.raises(TorchweatherError, match=rf"boxes\.json: .*{message}"):
             read_nuscenes_boxes(path)
@@ -251,7 +251,7 @@ def test_what_does_not_fit_together_is_refused() -> None:
     points, kind = torch.rand(5, 4), torch.zeros(5)
     with pytest.raises(ValueError, match="one value for each of the 5"):
         box_visibility(boxes, points, points, kind[:4], kind)
-    with pytest.raises(ValueError, match="source must say"):
+    with pytest.raises(ValueError, match="source must give the row"):
         box_visibility(boxes, points, points[:4], kind[:4], kind[:4])
     with pytest.raises(ValueError, match=r"-1\.\.4"):
         box_visibility(boxes, points, points, kind, kind, torch.full((5,), 9))

@@ -192,7 +192,7 @@ def test_nuscenes_table_with_quaternions(tmp_path: Path) -> None:
     written(tmp_path, "sensor.json", [{"token": "s", "channel": "CAM_FRONT"}, {"token": "t", "channel": "CAM_BACK"}])
     assert read_camera(path, name="CAM_FRONT").roll_rad == pytest.approx(0.0, abs=1e-12)
     one = written(tmp_path, "one.json", records[0] | {"rotation": [0, 0, 0, 0]})
-    with pytest.raises(TorchweatherError, match="wanted rotation"):
+    with pytest.raises(TorchweatherError, match="expected rotation"):
         read_camera(one)
 
 
@@ -235,7 +235,7 @@ def test_one_of_colmaps_cameras_by_number_or_size(tmp_path: Path) -> None:
     path = written(tmp_path, "cameras.txt", text)
     assert read_camera(path, name="2").fx == 260.0
     assert read_camera(path, width=640, height=480).fx == 500.0
-    with pytest.raises(TorchweatherError, match=r"wanted one camera; found 1, 2, 3\. Name one by its number"):
+    with pytest.raises(TorchweatherError, match=r"expected one camera; found 1, 2, 3\. Name one by its number"):
         read_camera(path)
     with pytest.raises(TorchweatherError, match=r"model FULL_OPENCV; supported are SIMPLE_PINHOLE, PINHOLE"):
         read_camera(path, name="3")
@@ -265,12 +265,12 @@ def test_one_of_colmaps_cameras_by_number_or_size(tmp_path: Path) -> None:
         ("x.yaml", ROS_MESSAGE.replace("plumb_bob", "equidistant"), "distortion is equidistant"),
         ("x.yaml", ROS_MESSAGE.replace("0.0]\nK", "0.0, 0.2, 0.1, 0.0]\nK"), "a Camera has k1, k2, p1, p2, k3"),
         ("x.yaml", ROS_MESSAGE + "fisheye_model: 1", "distortion is fisheye"),
-        ("x.txt", "1 PINHOLE 640 480 500 500 320", "wanted width, height, fx, fy, cx, cy; got 640 480 500 500 320"),
-        ("x.txt", "1 PINHOLE inf 480 500 500 320 240", "wanted an image size in pixels; got inf x 480"),
+        ("x.txt", "1 PINHOLE 640 480 500 500 320", "expected width, height, fx, fy, cx, cy; got 640 480 500 500 320"),
+        ("x.txt", "1 PINHOLE inf 480 500 500 320 240", "expected an image size in pixels; got inf x 480"),
         ("x.txt", "1 PINHOLE 640 480 500 500 nan 240", "cx must lie in"),
         ("x.txt", f"S_rect_02: 1242 1e999\nP_rect_02: {P2}", "S_rect_02 holds NaN or infinity"),
         ("x.txt", "1 OPENCV_FISHEYE 640 480 500 500 320 240 0 0 0 0", "COLMAP's model OPENCV_FISHEYE"),
-        ("x.txt", "P0: 1 2 3", r"wanted P2 of a KITTI calibration \(12 or 16 numbers\); found P0 \(3 numbers\)"),
+        ("x.txt", "P0: 1 2 3", r"expected P2 of a KITTI calibration \(12 or 16 numbers\); found P0 \(3 numbers\)"),
     ],
 )  # fmt: skip
 def test_other_files_are_refused_by_what_they_are(tmp_path: Path, name: str, text: str, message: str) -> None:

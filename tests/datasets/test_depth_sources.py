@@ -236,7 +236,7 @@ def test_a_cloud_needs_its_calibration_and_no_encoding(folder: Path) -> None:
     with pytest.raises(ValueError, match=r"no depth map for 0002.png.* or a cloud of that name"):
         depth_source(str(cloud), None, Path("0002.png"), calibration=calib)
     (calib / "0003.txt").write_text(KITTI)
-    with pytest.raises(ValueError, match=r"no calibration for 0002.png; wanted 0002 with .txt or .json"):
+    with pytest.raises(ValueError, match=r"no calibration for 0002.png; expected 0002 with .txt or .json"):
         calibration_file(calib, Path("0002.png"))
     with pytest.raises(TorchweatherError, match=r"camera 2 \(P2\); got the camera 'P3'"):
         depth_source(str(cloud), None, FRAME, calibration=calib, camera_name="P3")

@@ -48,7 +48,7 @@ def test_calibration_projects_a_point_ahead_below_the_principal_point(tmp_path: 
         ('{"CAM_BACK": {"cam2img": 1}}', r"got cameras CAM_BACK"),
         ('{"CAM_FRONT": {"cam2img": [[1, 0], [0, 1]], "lidar2cam": [[1]]}}', "3 x 3"),
         ('{"CAM_FRONT": {"cam2img": [[1, 0], [0, 1]]}}', "KeyError: 'lidar2cam'"),
-        ('{"CAM_FRONT": {"cam2img": "a", "lidar2cam": "b"}}', "wanted numbers"),
+        ('{"CAM_FRONT": {"cam2img": "a", "lidar2cam": "b"}}', "expected numbers"),
     ],
 )
 def test_broken_calibration_is_named(tmp_path: Path, content: str, message: str) -> None:

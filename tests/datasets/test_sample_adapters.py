@@ -209,7 +209,7 @@ def test_adapters_pickle_for_workers_and_name_what_is_missing() -> None:
     for kind in (OpenPcdetAdapter, Mmdet3dAdapter, HuggingFaceAdapter):
         again = pickle.loads(pickle.dumps(kind(Weather(), images=("img",))))
         assert again.images == ("img",)
-        with pytest.raises(ValueError, match=r"wanted the key 'points'; the sample has point.*Did you mean 'point'"):
+        with pytest.raises(ValueError, match=r"expected the key 'points'; the sample has point.*Did you mean 'point'"):
             again({"point": 1})
         with pytest.raises(TypeError, match="clouds must be a sequence of keys"):
             kind(Weather(), clouds="points")

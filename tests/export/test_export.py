@@ -369,7 +369,7 @@ def test_a_graph_from_elsewhere_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TorchweatherError, match=r"written by torchweather\.export\.to_onnx"):
         draw_feed(tmp_path / "plain.onnx", height=24, width=32, seed=0)
     (tmp_path / "broken.onnx").write_bytes(b"not a graph")
-    with pytest.raises(TorchweatherError, match=r"broken.onnx: wanted an ONNX graph"):
+    with pytest.raises(TorchweatherError, match=r"broken.onnx: expected an ONNX graph"):
         draw_feed(tmp_path / "broken.onnx", height=24, width=32, seed=0)
 
 

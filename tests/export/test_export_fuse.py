@@ -279,7 +279,7 @@ def test_a_disk_that_is_full_leaves_nothing_half_written(tmp_path: Path, monkeyp
 def test_what_is_no_detector_is_refused_before_the_export(tmp_path: Path) -> None:
     (tmp_path / "broken.onnx").write_bytes(b"not a graph")
     for wrong in (tmp_path / "broken.onnx", b"not a graph"):
-        with pytest.raises(TorchweatherError, match="wanted an ONNX graph"):
+        with pytest.raises(TorchweatherError, match="expected an ONNX graph"):
             fuse(small_fog(), wrong, tmp_path / "x.onnx")
     with pytest.raises(TorchweatherError, match=r"none\.onnx: no such file"):
         fuse(small_fog(), tmp_path / "none.onnx", tmp_path / "x.onnx")

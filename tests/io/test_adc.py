@@ -84,7 +84,7 @@ def test_i_and_q_as_pairs_as_arrays_and_interleaved(tmp_path: Path, dtype: type)
         np.savez(tmp_path / f"{number}.npz", **dict(zip(names, (i, q), strict=True)), time_s=np.zeros(3))
         assert torch.equal(read_adc(tmp_path / f"{number}.npz").cube, expected)
     # Real samples would be read as half as many complex ones, if nobody asked.
-    with pytest.raises(TorchweatherError, match=r"woven\.npy: wanted complex samples.*quadrature='interleaved'"):
+    with pytest.raises(TorchweatherError, match=r"woven\.npy: expected complex samples.*quadrature='interleaved'"):
         read_adc(woven)
 
 
@@ -94,7 +94,7 @@ def test_an_archive_has_its_cube_under_a_known_name_or_alone(tmp_path: Path, key
     assert read_adc(tmp_path / "a.npz").cube.shape == (3, 4, 8)
     np.savez(tmp_path / "a.npz", **{key: words(), "time_s": np.zeros(1)})
     if key == "frame":
-        with pytest.raises(TorchweatherError, match=r"wanted an array cube or adc.*got frame, time_s"):
+        with pytest.raises(TorchweatherError, match=r"expected an array cube or adc.*got frame, time_s"):
             read_adc(tmp_path / "a.npz")
     else:
         assert read_adc(tmp_path / "a.npz").cube.shape == (3, 4, 8)
@@ -151,11 +151,11 @@ def test_what_is_no_fault_is_left_alone(tmp_path: Path, samples: np.ndarray) -> 
         (np.ones(8, complex), r"got \(8,\)"),
         (np.ones((4, 0, 8), complex), "none of them 0"),
         (np.ones((4, 3, 1), complex), r"2 samples or more in a chirp.*got \(4, 3, 1\)"),
-        (np.full(SHAPE, np.nan + 0j), "wanted finite samples; 96 are not"),
-        (np.full(SHAPE, 1e300 + 0j), "wanted finite samples"),
-        (np.ones(SHAPE), "wanted complex samples"),
-        (np.ones((4, 3, 8, 2), bool), "wanted numbers; got bool"),
-        (np.array("text"), "wanted complex samples"),
+        (np.full(SHAPE, np.nan + 0j), "expected finite samples; 96 are not"),
+        (np.full(SHAPE, 1e300 + 0j), "expected finite samples"),
+        (np.ones(SHAPE), "expected complex samples"),
+        (np.ones((4, 3, 8, 2), bool), "expected numbers; got bool"),
+        (np.array("text"), "expected complex samples"),
     ],
 )
 def test_what_is_no_cube_is_refused(tmp_path: Path, array: np.ndarray, message: str) -> None:
@@ -181,7 +181,7 @@ def test_wrong_arguments_and_archives_are_named(tmp_path: Path) -> None:
     with pytest.raises(TorchweatherError, match="no such file"):
         read_adc(tmp_path / "none.npy")
     np.savez(tmp_path / "c.npz", i=np.ones(SHAPE), q=np.ones((4, 3, 7)))
-    with pytest.raises(TorchweatherError, match=r"wanted i and q of one shape; got \(4, 3, 8\) and \(4, 3, 7\)"):
+    with pytest.raises(TorchweatherError, match=r"expected i and q of one shape; got \(4, 3, 8\) and \(4, 3, 7\)"):
         read_adc(tmp_path / "c.npz")
     np.savez(tmp_path / "c.npz", cube=words(), layout=np.array(["a", "b"]))
     with pytest.raises(TorchweatherError, match=r"c\.npz: layout.*got a, b"):
@@ -216,7 +216,7 @@ def test_a_header_with_a_key_in_bytes_is_refused(tmp_path: Path) -> None:
     whole = path.read_bytes()
     assert whole.count(b" 'shape'") == 1
     path.write_bytes(whole.replace(b" 'shape'", b"B'shape'"))
-    with pytest.raises(TorchweatherError, match=r"a\.npy: wanted one array"):
+    with pytest.raises(TorchweatherError, match=r"a\.npy: expected one array"):
         read_adc(path)
 
 

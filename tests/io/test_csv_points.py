@@ -66,9 +66,9 @@ def test_shortest_text() -> None:
         ("1,2,3,4\n1,2,3\n", "rows of 4 numbers"),
         ("x,y,z,i\n1,2,3,4,5\n", "rows of 4 numbers from line 2 on; got 5"),
         ("x,y,z,i\n1,2,three,4\n", "three"),
-        ("1,2,3\n", "wanted an intensity.*got x, y, z"),
+        ("1,2,3\n", "expected an intensity.*got x, y, z"),
         ("x,y,,i\n", "a name for each column"),
-        ("1;2;3;4\n", "wanted columns x, y, z"),
+        ("1;2;3;4\n", "expected columns x, y, z"),
         (" \n", "empty"),
     ],
 )

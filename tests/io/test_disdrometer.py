@@ -206,7 +206,7 @@ def test_other_netcdf_and_truncated_files_are_named(tmp_path: Path) -> None:
 )
 def test_broken_telegrams_are_named(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / "x.dat").write_bytes(content)
-    with pytest.raises(TorchweatherError, match=rf"x\.dat.*wanted.*|{message}") as caught:
+    with pytest.raises(TorchweatherError, match=rf"x\.dat.*expected.*|{message}") as caught:
         read_disdrometer(tmp_path / "x.dat")
     assert message in str(caught.value)
 

@@ -270,7 +270,7 @@ def test_moving_pictures_are_refused(tmp_path: Path, kind: str) -> None:
         read_image(tmp_path / "x.png")
     (tmp_path / "x.png").rename(tmp_path / f"x.{kind.lower()}")
     if kind == "GIF":
-        with pytest.raises(TorchweatherError, match=rf"wanted an image: .*got \.{kind.lower()}"):
+        with pytest.raises(TorchweatherError, match=rf"expected an image: .*got \.{kind.lower()}"):
             read_image(tmp_path / f"x.{kind.lower()}")
 
 
@@ -288,7 +288,7 @@ def test_truncated_files_are_named(tmp_path: Path, suffix: str) -> None:
     write_image(path, frame(torch.uint8, 3, 64, 64))
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(TorchweatherError, match=rf"cut\{suffix}.*(wanted|cannot hold)"):
+    with pytest.raises(TorchweatherError, match=rf"cut\{suffix}.*(expected|cannot hold)"):
         read_image(path)
 
 
@@ -297,7 +297,7 @@ def test_a_tiff_without_its_width_is_named(tmp_path: Path) -> None:
     content = bytearray((tmp_path / "x.tif").read_bytes())
     content[10:12] = struct.pack("<H", 255)  # the first tag, ImageWidth, becomes another one
     (tmp_path / "x.tif").write_bytes(content)
-    with pytest.raises(TorchweatherError, match=r"x\.tif.*wanted"):
+    with pytest.raises(TorchweatherError, match=r"x\.tif.*expected"):
         read_image(tmp_path / "x.tif")
 
 
@@ -305,7 +305,7 @@ def test_a_tiff_without_its_width_is_named(tmp_path: Path) -> None:
 def test_files_that_are_no_image_are_named(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"text{suffix}"
     path.write_text("this is no image")
-    with pytest.raises(TorchweatherError, match=r"text.*wanted"):
+    with pytest.raises(TorchweatherError, match=r"text.*expected"):
         read_image(path)
 
 

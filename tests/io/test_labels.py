@@ -29,10 +29,10 @@ def test_class_and_instance_share_32_bits(tmp_path: Path) -> None:
 
 def test_wrong_sizes_are_named(tmp_path: Path) -> None:
     (tmp_path / "a.label").write_bytes(bytes(10))
-    with pytest.raises(TorchweatherError, match=r"a\.label: wanted at least one labels.*got 10 bytes"):
+    with pytest.raises(TorchweatherError, match=r"a\.label: expected at least one labels.*got 10 bytes"):
         read_labels(tmp_path / "a.label")
     (tmp_path / "a.label").write_bytes(bytes(12))
-    with pytest.raises(TorchweatherError, match=r"wanted 4 labels.*belongs to another cloud"):
+    with pytest.raises(TorchweatherError, match=r"expected 4 labels.*belongs to another cloud"):
         read_labels(tmp_path / "a.label", 4)
     (tmp_path / "a.label").write_bytes(b"")
     with pytest.raises(TorchweatherError, match="got 0 bytes"):

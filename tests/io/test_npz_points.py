@@ -86,5 +86,5 @@ def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:
 
 def test_names_that_do_not_fit_the_table_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", points=np.ones((2, 4)), columns=np.array(["x", "y", "z"]))
-    with pytest.raises(TorchweatherError, match="wanted 4 names"):
+    with pytest.raises(TorchweatherError, match="expected 4 names"):
         read_points(tmp_path / "a.npz")

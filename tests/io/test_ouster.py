@@ -88,7 +88,7 @@ def test_every_beam_has_a_direction_and_a_return_lies_on_it(recording: Path) -> 
 
 
 def test_what_the_recording_lacks_is_named(recording: Path) -> None:
-    with pytest.raises(TorchweatherError, match="wanted intensity 'signal'; the recording has range, reflectivity"):
+    with pytest.raises(TorchweatherError, match="expected intensity 'signal'; the recording has range, reflectivity"):
         next(read_ouster(recording, intensity="signal"))
     with pytest.raises(ValueError, match="intensity must be one of"):
         read_ouster(recording, intensity="power")

@@ -116,7 +116,7 @@ def test_text_with_nan_and_whole_numbers_beyond_float64(tmp_path: Path) -> None:
 def test_a_header_that_promises_a_hundred_gigabytes_is_refused_at_once(tmp_path: Path, data: str) -> None:
     body = np.array([4, 2**32 - 1], "<u4").tobytes() + b"\x00a\x20\x00" if data != "ascii" else b"1 2 3\n"
     source = write(tmp_path / "a.pcd", body, width=10**10, height=1, points=10**10, data=data)
-    with pytest.raises(TorchweatherError, match=r"a\.pcd: wanted 10000000000 points.*header"):
+    with pytest.raises(TorchweatherError, match=r"a\.pcd: expected 10000000000 points.*header"):
         read_points(source)
 
 
@@ -139,28 +139,28 @@ def test_a_stream_that_promises_more_than_lzf_can_hold_is_refused(tmp_path: Path
                 "WIDTH 2\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS 2",
                 "WIDTH 3\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS 3",
             ),
-            "wanted 3 points of at least 54 bytes",
+            "expected 3 points of at least 54 bytes",
         ),
         (
             (
                 "WIDTH 2\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS 2",
                 "WIDTH 1\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS 1",
             ),
-            "wanted 1 points of 54 bytes",
+            "expected 1 points of 54 bytes",
         ),
-        (("DATA binary", "DATA zip"), "wanted DATA ascii"),
+        (("DATA binary", "DATA zip"), "expected DATA ascii"),
         (("TYPE F F F", "TYPE F F Q"), "field 'z'.*TYPE Q"),
         (("SIZE 4 4", "SIZE 4 3"), "field 'y'.*SIZE 3"),
         (("COUNT 1 1", "COUNT -1 1"), "COUNT -1"),
-        (("COUNT 1 1", "COUNT 0 2"), "wanted columns x, y, z"),
-        (("VIEWPOINT 1 2 3 1 0 0 0", "VIEWPOINT 1 2 3"), "wanted VIEWPOINT x y z w x y z"),
-        (("VIEWPOINT 1 2 3", "VIEWPOINT 1 2 nan"), "wanted VIEWPOINT"),
+        (("COUNT 1 1", "COUNT 0 2"), "expected columns x, y, z"),
+        (("VIEWPOINT 1 2 3 1 0 0 0", "VIEWPOINT 1 2 3"), "expected VIEWPOINT x y z w x y z"),
+        (("VIEWPOINT 1 2 3", "VIEWPOINT 1 2 nan"), "expected VIEWPOINT"),
         (("SIZE 4 ", "SIZE "), "9 fields, 8 sizes"),
         (("WIDTH 2", "WIDTH two"), "invalid literal"),
         (("SIZE", "SIZ"), "KeyError"),
         (("DATA binary", "DAT binary"), "ends in a line DATA"),
         (("FIELDS x y z", "FIELDS x y x"), "'x' twice"),
-        (("FIELDS x y z", "FIELDS x y w"), "wanted columns x, y, z"),
+        (("FIELDS x y z", "FIELDS x y w"), "expected columns x, y, z"),
     ],
 )
 def test_a_lying_header_is_refused(tmp_path: Path, change: tuple[str, str], message: str) -> None:
@@ -177,7 +177,7 @@ def test_a_lying_header_is_refused(tmp_path: Path, change: tuple[str, str], mess
         ("1 2 3 4\n5 6 seven 8\n", "seven"),
         ("1 2 3 4.5\n5 6 7 8\n", r"whole numbers 0\.\.255 \(uint8\) in column 4"),
         ("1 2 3 256\n5 6 7 8\n", "uint8"),
-        ("1 2 3 4\n", "wanted 2 rows of numbers.*got 1|wanted 2 points"),
+        ("1 2 3 4\n", "expected 2 rows of numbers.*got 1|expected 2 points"),
         ("1 2 3 4\n5 6 7 8\n9 9 9 9\n", "got 3"),
         ("1 2 3 4 5\n5 6 7 8 9\n", "rows of 4 numbers.*got 5"),
         ("1 2 1e400 4\n5 6 7 8\n", "z = inf"),

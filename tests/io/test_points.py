@@ -245,7 +245,7 @@ def test_a_cloud_without_intensity_says_what_there_is(tmp_path: Path) -> None:
     with pytest.raises(TorchweatherError, match="There is no rng"):
         read_points(tmp_path / "t.npz", columns=("x", "y", "z", "rng"))
     np.savez(tmp_path / "t.npz", a=x, b=x)
-    with pytest.raises(TorchweatherError, match="wanted numbers as points"):
+    with pytest.raises(TorchweatherError, match="expected numbers as points"):
         read_points(tmp_path / "t.npz")
 
 

@@ -234,7 +234,7 @@ def test_power_and_cross_section_give_each_other(tmp_path: Path, known: str, oth
     value = 3.0 if known == "rcs_dbsm" else AT_50_M_DBM + 3.0
     arrays = {name: np.array([number]) for name, number in (("x_m", 30.0), ("y_m", -40.0), ("z_m", 0.0))}
     np.savez(tmp_path / "a.npz", **arrays, speed_m_per_s=np.zeros(1), **{known: np.array([value])})
-    with pytest.raises(TorchweatherError, match=rf"a\.npz: wanted {other}; the file has none.*radar=Radar"):
+    with pytest.raises(TorchweatherError, match=rf"a\.npz: expected {other}; the file has none.*radar=Radar"):
         read_radar(tmp_path / "a.npz")
     found = read_radar(tmp_path / "a.npz", RADAR)
     expected = torch.tensor([AT_50_M_DBM + 3.0, 3.0], dtype=found.points.dtype)
@@ -313,16 +313,16 @@ def test_a_table_without_names_is_the_six_and_more(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("header", "row", "message"),
     [
-        ("x_m,y_m,speed_m_per_s,rcs_dbsm", "1,2,3,4", "wanted a position.*column of zeros"),
-        ("x_m,y_m,z_m,rcs_dbsm", "1,2,3,4", "wanted a speed, a column speed_m_per_s"),
+        ("x_m,y_m,speed_m_per_s,rcs_dbsm", "1,2,3,4", "expected a position.*column of zeros"),
+        ("x_m,y_m,z_m,rcs_dbsm", "1,2,3,4", "expected a speed, a column speed_m_per_s"),
         ("x_m,y_m,z_m,vx_comp,vy_comp,rcs_dbsm", "1,2,3,4,5,6", r"vx and vy \(m/s, speed='relative'\)"),
-        ("x_m,y_m,z_m,speed_m_per_s", "1,2,3,4", r"wanted a power .* or a radar cross section"),
+        ("x_m,y_m,z_m,speed_m_per_s", "1,2,3,4", r"expected a power .* or a radar cross section"),
         ("range_m,azimuth_deg,elevation_deg,speed_m_per_s,rcs_dbsm", "-2,0,0,0,0", "range_m of 0 m or more; got -2 m"),
         ("x_m,y_m,z_m,speed_m_per_s,rcs_dbsm", "1,nan,3,4,5", "y_m = nan in row 0"),
         ("x_m,y_m,z_m,speed_m_per_s,rcs_dbsm", "1,2,3,4,nan", "rcs_dbsm = nan in row 0"),
         ("x_m,y_m,z_m,speed_m_per_s,power_dbm", "1,2,3,inf,4", "speed_m_per_s = inf in row 0"),
         ("x_m,y_m,z_m,speed_m_per_s,x_m,power_dbm", "1,2,3,3,3,4", "'x_m' twice"),
-        ("1,2,3,4,5,6", "1,2,3,4,5,6", "wanted a line of names, such as x_m,y_m"),
+        ("1,2,3,4,5,6", "1,2,3,4,5,6", "expected a line of names, such as x_m,y_m"),
     ],
 )
 def test_a_list_that_is_none_is_refused(tmp_path: Path, header: str, row: str, message: str) -> None:

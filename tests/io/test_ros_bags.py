@@ -164,7 +164,7 @@ def test_clouds_of_a_radar_have_columns_by_their_names(tmp_path: Path) -> None:
     for one in (RosBag(path), RosBag(file)):
         (frame,) = one.radar("/radar", radar, columns={"speed_m_per_s": "doppler", "power_db": "snr"})
         assert frame.content.points[0, :5].tolist() == [10.0, 0.0, 0.0, -2.0, 33.0]
-    with pytest.raises(TorchweatherError, match=r"radar/0: wanted a speed.* got x, y, z, doppler, snr"):
+    with pytest.raises(TorchweatherError, match=r"radar/0: expected a speed.* got x, y, z, doppler, snr"):
         list(RosBag(path).radar("/radar", radar))
     with pytest.raises(TorchweatherError, match=r"expected a field 'dopler'; got x, y, .*doppler"):
         list(RosBag(path).radar("/radar", radar, columns={"speed_m_per_s": "dopler"}))

@@ -62,9 +62,9 @@ def test_a_numpy_array(tmp_path: Path, rows: int) -> None:
         ("pose.json", "{", "expected JSON with T_cloud_from_sensor"),
         ("pose.json", "{}", "got nothing"),
         ("pose.json", '{"cam2img": 1}', "got cam2img"),
-        ("pose.json", '{"translation": [1, 2], "rotation": [1, 0, 0, 0]}', "wanted T_cloud_from_sensor"),
+        ("pose.json", '{"translation": [1, 2], "rotation": [1, 0, 0, 0]}', "expected T_cloud_from_sensor"),
         ("pose.yaml", "- [1, 2]", "expected a pose"),
-        ("pose.npy", "text", "wanted one array"),
+        ("pose.npy", "text", "expected one array"),
     ],
 )
 def test_what_is_no_pose_is_refused_with_its_path(tmp_path: Path, name: str, content: str, message: str) -> None:

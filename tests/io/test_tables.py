@@ -86,12 +86,12 @@ def test_spreadsheets_mark_and_line_ends_are_read(tmp_path: Path) -> None:
     [
         (b"", "the file is empty"),
         (b"\n\n", "the file is empty"),
-        (b"a,b\n1,2\n3\n", r"line 3: wanted 2 cells \(a, b\); got 1"),
-        (b"a,b\n1,2,3\n", "line 2: wanted 2 cells"),
+        (b"a,b\n1,2\n3\n", r"line 3: expected 2 cells \(a, b\); got 1"),
+        (b"a,b\n1,2,3\n", "line 2: expected 2 cells"),
         (b"a,a\n1,2\n", "a stands twice"),
         (b"a,\n1,2\n", "every column needs a name"),
-        (b"a;b\n1;2\n", "wanted commas"),
-        (b"a\tb\n1\t2\n", "wanted commas"),
+        (b"a;b\n1;2\n", "expected commas"),
+        (b"a\tb\n1\t2\n", "expected commas"),
         ("a,b\n1,2\n".encode("utf-16"), "UTF-8"),
         (b'a,b\n"1,2\n', "cannot be read"),
     ],
@@ -110,7 +110,7 @@ def test_what_is_no_parquet_file_is_refused(tmp_path: Path) -> None:
     for content in (b"", b"PAR1", b"a,b\n1,2\n", whole[: len(whole) // 2], whole[8:]):
         broken = tmp_path / "broken.parquet"
         broken.write_bytes(content)
-        with pytest.raises(TorchweatherError, match=r"broken\.parquet: wanted a Parquet file"):
+        with pytest.raises(TorchweatherError, match=r"broken\.parquet: expected a Parquet file"):
             read_table(broken)
 
 

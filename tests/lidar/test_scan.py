@@ -352,7 +352,7 @@ def test_a_ring_column_overrules_the_elevation_and_marks_lost_points() -> None:
 def test_a_cloud_of_another_speed_is_named(columns: int, says: str) -> None:
     lidar = Lidar(905.0, elevations_deg=(-1.0, 1.0), columns=500)
     cloud = 10 * scan_directions(lidar)
-    with pytest.warns(TorchweatherWarning, match=rf"0.720 degrees apart, but Lidar\(columns={columns}\).*{says}"):
+    with pytest.warns(TorchweatherWarning, match=rf"0.720 degrees apart, those of Lidar\(columns={columns}\).*{says}"):
         empty_beams(cloud, Lidar(905.0, elevations_deg=(-1.0, 1.0), columns=columns))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -203,10 +203,10 @@ GOOD = "format: torchweather-chain/1\nstages:\n"
         ("format: torchweather-chain/1\nstages: {a: b}", "stages must be a list"),
         (GOOD + "- {name: quantise, stage: Quantize}", "Did you mean 'Quantise'"),
         (GOOD + "- {name: quantise, stage: Quantise, step: 3}", "stages[0] (quantise)"),
-        (GOOD + "- {stage: Quantise}", "wanted a name of its own for each stage; got None"),
+        (GOOD + "- {stage: Quantise}", "expected a name of its own for each stage; got None"),
         (
             GOOD + "- {name: a, stage: Quantise}\n- {name: a, stage: Quantise}",
-            "wanted a name of its own for each stage; got 'a'",
+            "expected a name of its own for each stage; got 'a'",
         ),
         (GOOD + "- {name: other, stage: Quantise}", "state.npz does not belong to chain.yaml"),
         (

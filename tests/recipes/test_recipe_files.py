@@ -100,10 +100,10 @@ WRONG: dict[str, list[tuple[dict[str, Any], str]]] = {
     "multi_sensor": [
         ({"transfroms": {}}, "unknown key 'transfroms'.*Did you mean 'transforms'"),
         ({"weather": ...}, "weather is missing"),
-        ({"weather": {"kind": "rain", "rate_mm_per_h": {"unifrom": [1, 2]}}}, "weather: .*wanted a number or one of"),
+        ({"weather": {"kind": "rain", "rate_mm_per_h": {"unifrom": [1, 2]}}}, "weather: .*expected a number or one of"),
         ({"weather": {"kind": "rain", "rate_mm_per_h": {"uniform": [-1, 2]}}}, "weather: .*rate_mm_per_h must lie"),
         ({"weather": {"choice": [None]}}, "weather: .*at least one weather that is not null"),
-        ({"weather": {"choice": [None], "weight": [1]}}, "weather: wanted choice"),
+        ({"weather": {"choice": [None], "weight": [1]}}, "weather: expected choice"),
         ({"transforms": {"points": {**LIDAR, "sensors": 1}}}, "unknown key 'transforms.points.sensors'.*'sensor'"),
         ({"transforms": {"points": {**LIDAR, "transform": "LidarRian"}}}, "transforms.points.transform.*'LidarRain'"),
         (

@@ -162,7 +162,7 @@ def test_a_failure_half_way_leaves_no_file(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("mine")
-    with pytest.raises(TorchweatherError, match="wanted a folder"):
+    with pytest.raises(TorchweatherError, match="expected a folder"):
         write_demo(tmp_path / "out", progress=False)
     assert (tmp_path / "out").read_text() == "mine"
 

@@ -615,13 +615,13 @@ class Mixture(Weather):
         flat = [part for weather in given for part in weather.parts]
         on_things = [one for weather in given for one in weather.conditions]
         if not flat and not on_things:
-            raise InputValueError("Mixture: wanted at least one weather; got none.")
+            raise InputValueError("Mixture: expected at least one weather; got none.")
         kinds = [part.kind for part in (*flat, *on_things)]
         for kind in set(kinds):
             if kinds.count(kind) > 1:
                 raise InputValueError(
-                    f"Mixture: wanted each kind once; got {kinds.count(kind)} times {kind}. Add their rates (or their "
-                    "extinctions, for fog) into one."
+                    f"Mixture: expected each kind once; got {kinds.count(kind)} times {kind}. Add their rates (or "
+                    "their extinctions, for fog) into one."
                 )
         self._parts = tuple(sorted(flat, key=lambda part: part.kind))
         self._conditions = tuple(sorted(on_things, key=lambda one: one.kind))
@@ -757,7 +757,7 @@ def _parse_one(text: str) -> Weather:
         key, equals, value = argument.partition("=")
         if not equals:
             raise InputValueError(
-                f"torchweather: weather {text!r}: wanted key=value, for example rate=25; got {argument!r}."
+                f"torchweather: weather {text!r}: expected key=value, for example rate=25; got {argument!r}."
             )
         values[aliases.get(key.strip(), key.strip())] = _plain(value.strip())
     weather: Weather = found.from_dict(values)

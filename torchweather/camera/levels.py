@@ -64,7 +64,7 @@ def raw_to_linear(bayer: Tensor, camera: Camera, owner: object) -> Tensor:
         if not (high <= 1.0 + 1e-6 and low == low):
             raw_high = high * (white - black) + black
             raise InputValueError(
-                f"{owner_name(owner)}: the frame contradicts its description: wanted values up to {white:g}"
+                f"{owner_name(owner)}: the frame contradicts its description: expected values up to {white:g}"
                 f"{' (float frames run from 0 to 1)' if bayer.is_floating_point() else ''}, without NaN; got up to "
                 f"{raw_high:g}. Set Camera(bit_depth=..., white_level=...) or scale the frame."
             )

@@ -181,7 +181,7 @@ def _check_range(image: Any, camera: Camera) -> None:
         highest = int(image.to(torch.int32).max())
         if highest > camera.saturation_level:
             raise InputValueError(
-                f"the frame contradicts its camera: wanted raw values up to {camera.saturation_level:g} "
+                f"the frame contradicts its camera: expected raw values up to {camera.saturation_level:g} "
                 f"({camera.bit_depth} bits); got up to {highest}. Give --bit-depth or --white-level."
             )
 

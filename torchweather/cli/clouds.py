@@ -268,7 +268,7 @@ def gathered_clouds(inputs: list[Path]) -> list[Path]:
             seen = [file for file in path.iterdir() if not file.name.startswith(".")]
             inside = sorted(file for file in seen if file.name.lower().endswith(known))
             if not inside:
-                raise InputValueError(f"{path}: no point clouds; wanted {', '.join(known)}.")
+                raise InputValueError(f"{path}: no point clouds; expected {', '.join(known)}.")
             found += inside
         elif not path.exists():
             raise InputValueError(f"{path}: no such file.")
@@ -276,7 +276,7 @@ def gathered_clouds(inputs: list[Path]) -> list[Path]:
             raise InputValueError(f"{path}: {OSF_HINT}")
         elif not path.name.lower().endswith(known):
             image = " For images give --sensor camera:PRESET." if path.suffix.lower() in IMAGE_SUFFIXES else ""
-            raise InputValueError(f"{path}: wanted a point cloud ({', '.join(known)}).{image}")
+            raise InputValueError(f"{path}: expected a point cloud ({', '.join(known)}).{image}")
         else:
             found.append(path)
     return found

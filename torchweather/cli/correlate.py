@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     missing = [name for name in ("metric", "score") if name not in scores]
     if missing:
         raise TorchweatherError(
-            f"{args.scores}: wanted the table of a sweep, one score a row, with the columns metric and score; got "
+            f"{args.scores}: expected the table of a sweep, one score a row, with the columns metric and score; got "
             f"{', '.join(scores)}."
         )
     found = correlate(

@@ -88,12 +88,12 @@ def gathered_detections(inputs: list[Path]) -> list[Path]:
         if path.is_dir():
             inside = sorted(file for file in path.iterdir() if file.suffix.lower() in known and file.name[0] != ".")
             if not inside:
-                raise InputValueError(f"{path}: no radar detections; wanted {', '.join(known)}.")
+                raise InputValueError(f"{path}: no radar detections; expected {', '.join(known)}.")
             found += inside
         elif not path.exists():
             raise InputValueError(f"{path}: no such file.")
         elif path.suffix.lower() not in known:
-            raise InputValueError(f"{path}: wanted radar detections ({', '.join(known)}).")
+            raise InputValueError(f"{path}: expected radar detections ({', '.join(known)}).")
         else:
             found.append(path)
     return found

@@ -330,7 +330,7 @@ def gathered(inputs: list[Path]) -> list[Path]:
                 if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
             )
             if not inside:
-                raise InputValueError(f"{path}: no images; wanted {', '.join(IMAGE_SUFFIXES)}.")
+                raise InputValueError(f"{path}: no images; expected {', '.join(IMAGE_SUFFIXES)}.")
             frames += inside
         elif path.exists():
             frames.append(path)

@@ -70,7 +70,7 @@ def opened(path: Path, sha256: str) -> dict[str, Any]:
 
     content = path.read_bytes()
     if hashlib.sha256(content).hexdigest() != sha256:
-        raise TorchweatherError(f"{path}: wanted the file that was sealed before the search; it was changed since.")
+        raise TorchweatherError(f"{path}: expected the file that was sealed before the search; it was changed since.")
     truth: dict[str, Any] = json.loads(content)
     return truth
 

@@ -62,7 +62,7 @@ def pairs_of_files(reference: Path, distorted: Path, sensor: str | None = None) 
     if not reference.is_dir():
         for path in (reference, distorted):
             if not _ends(path, _endings(sensor)):
-                raise InputValueError(f"{path}: wanted {_wanted(sensor)} ({', '.join(_endings(sensor))}).")
+                raise InputValueError(f"{path}: expected {_wanted(sensor)} ({', '.join(_endings(sensor))}).")
         return PairsOfFiles(_kind([reference, distorted], sensor), ((reference, distorted),))
     first, second = (_inside(folder, sensor) for folder in (reference, distorted))
     pairs = _matched(first, second)
@@ -128,7 +128,7 @@ def _inside(folder: Path, sensor: str | None) -> list[Path]:
     files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
     found = sorted(path for path in files if _ends(path, _endings(sensor)))
     if not found:
-        raise InputValueError(f"{folder}: holds no {_wanted(sensor)}; wanted {', '.join(_endings(sensor))}.")
+        raise InputValueError(f"{folder}: holds no {_wanted(sensor)}; expected {', '.join(_endings(sensor))}.")
     return found
 
 

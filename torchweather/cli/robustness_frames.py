@@ -62,7 +62,7 @@ class RobustnessFrames:
         from torchweather.evaluation.robustness.truth import LABEL_SUFFIXES, frame_truth
 
         if not args.data.is_dir():
-            raise InputValueError(f"{args.data}: no such folder; wanted one with {FOLDERS[declaration.sensor][0]}/.")
+            raise InputValueError(f"{args.data}: no such folder; expected one with {FOLDERS[declaration.sensor][0]}/.")
         inside = [args.data / name for name in FOLDERS[declaration.sensor] if (args.data / name).is_dir()]
         maker = MAKERS[declaration.sensor]
         self.files = maker.gathered([inside[0] if inside else args.data])
@@ -70,7 +70,7 @@ class RobustnessFrames:
         twice = {stem for stem in self.stems if self.stems.count(stem) > 1}
         if twice:
             raise InputValueError(
-                f"{args.data}: wanted files of different names; {', '.join(sorted(twice))} stands twice."
+                f"{args.data}: expected files of different names; {', '.join(sorted(twice))} stands twice."
             )
         self.declaration = declaration
         self.truths: Any = None
@@ -86,7 +86,7 @@ class RobustnessFrames:
                     (self.labels / f"{stem}{suffix}").is_file() for suffix in LABEL_SUFFIXES[declaration.sensor]
                 ):
                     wanted = ", ".join(LABEL_SUFFIXES[declaration.sensor])
-                    raise InputValueError(f"{self.labels}: no ground truth for {stem}; wanted {stem} with {wanted}.")
+                    raise InputValueError(f"{self.labels}: no ground truth for {stem}; expected {stem} with {wanted}.")
         if declaration.sensor in BEFORE:
             BEFORE[declaration.sensor](args, self.files[0], self.stems[0])
         # What a sweep can say and this command does not.
@@ -104,7 +104,7 @@ class RobustnessFrames:
         for file, stem in zip(self.files, self.stems, strict=True):
             subjects = self.maker.files(file)
             if len(subjects) != 1:
-                raise TorchweatherError(f"{file}: wanted one frame a file; got {len(subjects)}.")
+                raise TorchweatherError(f"{file}: expected one frame a file; got {len(subjects)}.")
             subject: Any = subjects[0]
             options = {key: value for key, value in self.options.items() if key not in ("depth", "lost")}
             subject = replace(subject, options={**options, **subject.options})

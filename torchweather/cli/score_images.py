@@ -56,7 +56,9 @@ class ImageScores:
         """Scores of one pair; of planes their mean too."""
         clear, worse = _one_image(reference), _one_image(distorted)
         if clear.shape != worse.shape:
-            raise TorchweatherError(f"{distorted}: wanted the size of {reference}, {_size(clear)}; got {_size(worse)}.")
+            raise TorchweatherError(
+                f"{distorted}: expected the size of {reference}, {_size(clear)}; got {_size(worse)}."
+            )
         mosaic = len(clear) == 1 and self.args.bayer != GREY
         if not mosaic:
             self._refuse_options_of_mosaics(reference)
@@ -174,7 +176,9 @@ def plane_names(pattern: str) -> list[str]:
 def _one_image(path: Path) -> Tensor:
     image, _ = read_image(path)
     if image.ndim != 3:
-        raise TorchweatherError(f"{path}: wanted one image (C, H, W); got {tuple(image.shape)}. Score them one by one.")
+        raise TorchweatherError(
+            f"{path}: expected one image (C, H, W); got {tuple(image.shape)}. Score them one by one."
+        )
     return image
 
 
@@ -186,7 +190,7 @@ def _check_white(image: Tensor, white: float | None, path: Path) -> None:
     limit = limit if white is None else white
     if not (low >= 0.0 and high <= limit):  # NaN too
         raise TorchweatherError(
-            f"{path}: wanted values from 0 to {limit:g} (white); got {low:g} to {high:g}. Give --white-level (or "
+            f"{path}: expected values from 0 to {limit:g} (white); got {low:g} to {high:g}. Give --white-level (or "
             "--bit-depth of a mosaic) if white is another value."
         )
     if image.is_floating_point() and limit > UNIT and 0.0 < high <= UNIT:

@@ -119,7 +119,7 @@ class _Camera(Maker):
     def _of_file(self, file: Path, scene: str) -> Iterator[Subject]:
         data, info = read_image(file)
         if data.ndim != 3:
-            raise TorchweatherError(f"{file}: wanted a single frame (1 or 3, H, W); got {tuple(data.shape)}.")
+            raise TorchweatherError(f"{file}: expected a single frame (1 or 3, H, W); got {tuple(data.shape)}.")
         height, width = data.shape[-2:]
         camera, said = fitted_camera(self.camera, height, width, self.args, frame=file)
         if said:

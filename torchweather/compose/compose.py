@@ -64,7 +64,7 @@ class Draw:
         """The inverse of ``to_dict``."""
         if set(values) - {"nuisances", "quality"} != {"seed", "weather"}:
             raise InputValueError(
-                "Draw: wanted seed and weather, perhaps nuisances and quality; got "
+                "Draw: expected seed and weather, perhaps nuisances and quality; got "
                 f"{', '.join(map(str, values)) or 'nothing'}."
             )
         return cls(int(values["seed"]), values["weather"], values.get("nuisances", {}), values.get("quality"))
@@ -150,7 +150,7 @@ class Compose(nn.Module):
             )
         self.specs = {key: _spec(key, transform) for key, transform in transforms.items()}
         if not self.specs:
-            raise InputValueError("Compose: wanted a transform for at least one key; got none.")
+            raise InputValueError("Compose: expected a transform for at least one key; got none.")
         check_arguments("Compose(p: float)", p)
         self.weather = _candidates(weather, transforms)
         self.p, self.depth, self.seed, self.sample_key, self.history = float(p), depth, seed, sample_key, history
@@ -300,7 +300,7 @@ class Compose(nn.Module):
         check_arguments("Compose(draw: Draw | Sequence[Draw])", draw)
         draws = [draw] if isinstance(draw, Draw) else list(draw)
         if len(draws) != (1 if number is None else number):
-            raise InputValueError(f"Compose: wanted a draw for each of {number or 1} samples; got {len(draws)}.")
+            raise InputValueError(f"Compose: expected a draw for each of {number or 1} samples; got {len(draws)}.")
         if self.history is not None and self.history in sample:
             raise InputValueError(
                 f"Compose: the sample holds {self.history!r} already, where history is to go. If it comes from another "

@@ -89,7 +89,7 @@ def spec_of(transform: nn.Module) -> TransformSpec[Any]:
     inner = transform.transform if isinstance(transform, AsBayer) else transform
     if not isinstance(inner, WeatherTransform):
         raise InputTypeError(
-            f"wanted a transform of weather ({', '.join(TRANSFORMS)}, RadarMapWeather, or AsBayer around one "
+            f"expected a transform of weather ({', '.join(TRANSFORMS)}, RadarMapWeather, or AsBayer around one "
             f"of a camera); got {type(transform).__name__}."
         )
     nuisances = inner.nuisances

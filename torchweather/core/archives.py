@@ -65,12 +65,12 @@ def read_named_array(path: str | os.PathLike[str], keys: Sequence[str]) -> tuple
         raise TorchweatherError(f"{source}: no such file.") from error
     except BROKEN_ARCHIVE as error:
         raise TorchweatherError(
-            f"{source}: wanted one array as numpy.save or numpy.savez writes it; it cannot be read ({error}). "
+            f"{source}: expected one array as numpy.save or numpy.savez writes it; it cannot be read ({error}). "
             "The file may be truncated or hold pickled objects, which are never loaded."
         ) from error
     hint = nearest_name(keys[0], [name for name in members if len(name) < 100]) if keys else ""
     raise TorchweatherError(
-        f"{source}: wanted an array named {' or '.join(keys)}, or a single array; got {few_names(members)}.{hint}"
+        f"{source}: expected an array named {' or '.join(keys)}, or a single array; got {few_names(members)}.{hint}"
     )
 
 
@@ -94,8 +94,8 @@ def read_archive(
             return arrays, any(member.compress_type != zipfile.ZIP_STORED for member in members)
     except BROKEN_ARCHIVE as error:
         raise TorchweatherError(
-            f"{source}: wanted arrays as numpy.savez writes them; it cannot be read ({type(error).__name__}: {error}). "
-            "The file may be truncated or hold pickled objects, which are never loaded."
+            f"{source}: expected arrays as numpy.savez writes them; it cannot be read ({type(error).__name__}: "
+            f"{error}). The file may be truncated or hold pickled objects, which are never loaded."
         ) from error
 
 
@@ -118,7 +118,7 @@ def _members(archive: zipfile.ZipFile, source: object) -> list[zipfile.ZipInfo]:
     members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
     if len(members) > _MOST_MEMBERS:
         raise TorchweatherError(
-            f"{source}: wanted at most {_MOST_MEMBERS} arrays; got {len(members):,}. Write what belongs to one frame."
+            f"{source}: expected at most {_MOST_MEMBERS} arrays; got {len(members):,}. Write what belongs to one frame."
         )
     return members
 

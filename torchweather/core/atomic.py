@@ -100,7 +100,7 @@ def atomic_folder(out_dir: Path) -> Iterator[Path]:
         out_dir: made where it does not exist; what it holds stays, unless it has the same name.
     """
     if out_dir.exists() and not out_dir.is_dir():
-        raise TorchweatherError(f"{out_dir}: wanted a folder to write to; got a file.")
+        raise TorchweatherError(f"{out_dir}: expected a folder to write to; got a file.")
     out_dir = out_dir.absolute()
     made = [folder for folder in (out_dir, *out_dir.parents) if not folder.exists()]
     try:

@@ -145,14 +145,14 @@ class Choice(Distribution):
     def __init__(self, values: Sequence[Any], weights: Sequence[float] | None = None) -> None:
         check_arguments("Choice(values: Sequence, weights: Sequence[float] | None)", values, weights)
         if isinstance(values, str) or not len(values):
-            raise InputValueError(f"Choice: wanted a list of values, one or more; got {values!r}.")
+            raise InputValueError(f"Choice: expected a list of values, one or more; got {values!r}.")
         if weights is not None:
             weights = weights.tolist() if hasattr(weights, "tolist") else weights
             one_each = len(weights) == len(values) and not any(isinstance(one, list) for one in weights)
             good = one_each and all(math.isfinite(one) and one >= 0 for one in weights)
             if not good or not sum(weights) > 0:
                 raise InputValueError(
-                    f"Choice: wanted a weight of 0 or more for each of {len(values)} values, not all 0; got "
+                    f"Choice: expected a weight of 0 or more for each of {len(values)} values, not all 0; got "
                     f"{list(weights)!r}."
                 )
         object.__setattr__(self, "values", tuple(values))
@@ -280,7 +280,7 @@ def distribution_from(values: Mapping[str, Any], *, owner: str) -> Distribution:
     kind = next((key for key in values if key != "weights"), None)
     if kind not in known or not set(values) <= {kind, "weights"} or ("weights" in values and kind != "choice"):
         raise InputValueError(
-            f"{owner}: wanted a number or one of {', '.join(known)} (choice also with weights); got "
+            f"{owner}: expected a number or one of {', '.join(known)} (choice also with weights); got "
             f"{dict(values)!r}.{nearest_name(kind, known)}"
         )
     given = values[kind]

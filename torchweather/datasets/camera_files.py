@@ -156,7 +156,7 @@ def _from_kitti(source: Path, name: str) -> dict[str, Any]:
     numbers = entries.get(name, [])
     if len(numbers) not in (12, 16):
         found = ", ".join(f"{key} ({len(values)} numbers)" for key, values in entries.items()) or "no numbers"
-        raise TorchweatherError(f"{source}: wanted {name} of a KITTI calibration (12 or 16 numbers); found {found}.")
+        raise TorchweatherError(f"{source}: expected {name} of a KITTI calibration (12 or 16 numbers); found {found}.")
     rows = (numbers[0:3], numbers[4:7], numbers[8:11])
     fields = _intrinsics(rows, source, name)
     size = entries.get(f"S_rect_0{name[1:]}", [])
@@ -180,7 +180,7 @@ def _from_json(source: Path, text: str, name: str | None) -> dict[str, Any]:
     wanted = name or ("CAM_FRONT" if "CAM_FRONT" in cameras or len(cameras) > 1 else next(iter(cameras)))
     if wanted not in cameras:
         raise TorchweatherError(
-            f"{source}: wanted the camera {wanted!r}; found {', '.join(cameras)}.{nearest_name(wanted, cameras)}"
+            f"{source}: expected the camera {wanted!r}; found {', '.join(cameras)}.{nearest_name(wanted, cameras)}"
         )
     return _nuscenes_fields(cameras[wanted]["cam2img"], cameras[wanted].get("cam2ego"), source, wanted)
 
@@ -202,7 +202,7 @@ def _from_nuscenes_table(source: Path, records: Sequence[Mapping[str, Any]], nam
     ]
     if len(chosen) != 1:
         raise TorchweatherError(
-            f"{source}: wanted one camera; found {len(chosen)} of {len(cameras)} records with camera_intrinsic"
+            f"{source}: expected one camera; found {len(chosen)} of {len(cameras)} records with camera_intrinsic"
             f"{f' named {name!r}' if name else ''}. Each log has its own: name one by its token."
         )
     record = chosen[0]
@@ -222,7 +222,7 @@ def _pose(rotation: Any, translation: Any, source: Path) -> list[list[float]]:
         third = [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y), shift[2]]
     except (TypeError, ValueError, ZeroDivisionError, IndexError) as error:
         raise TorchweatherError(
-            f"{source}: wanted rotation (4 numbers) and translation (3 numbers); {error}."
+            f"{source}: expected rotation (4 numbers) and translation (3 numbers); {error}."
         ) from error
     # Height, pitch and roll need the row of the vehicle's z alone.
     return [[0.0] * 4, [0.0] * 4, third]
@@ -238,7 +238,7 @@ def _nuscenes_fields(matrix: Any, pose: Any, source: Path, name: str) -> dict[st
         pitch = math.asin(forward)
         roll = -math.asin(right / math.cos(pitch))
     except (TypeError, ValueError, LookupError, ZeroDivisionError) as error:
-        raise TorchweatherError(f"{source}: wanted a pose of {name} in the vehicle, 4 x 4; {error}.") from error
+        raise TorchweatherError(f"{source}: expected a pose of {name} in the vehicle, 4 x 4; {error}.") from error
     # The vehicle's frame lies on the road, below the rear axle (nuScenes' schema of ego_pose).
     return fields | {"height_m": height_m, "pitch_rad": pitch, "roll_rad": roll}
 
@@ -251,7 +251,7 @@ def _from_colmap(
     if len(chosen) > 1:  # by the size of the frames, where one camera alone has it
         chosen = [key for key in chosen if cameras[key][1:3] == [str(side) for side in size]]
     if len(chosen) != 1:
-        raise TorchweatherError(f"{source}: wanted one camera; found {', '.join(cameras)}. Name one by its number.")
+        raise TorchweatherError(f"{source}: expected one camera; found {', '.join(cameras)}. Name one by its number.")
     model, *values = cameras[chosen[0]]
     if model not in COLMAP_MODELS:
         raise TorchweatherError(
@@ -264,7 +264,7 @@ def _from_colmap(
         fields = dict(zip(names, parameters, strict=True))
     except ValueError as error:
         raise TorchweatherError(
-            f"{source}: camera {chosen[0]}: wanted width, height, {', '.join(names)}; got {' '.join(values)}."
+            f"{source}: camera {chosen[0]}: expected width, height, {', '.join(names)}; got {' '.join(values)}."
         ) from error
     if "f" in fields:
         focal = fields.pop("f")
@@ -275,7 +275,7 @@ def _from_colmap(
 
 def _size(width: float, height: float, source: Path) -> dict[str, int]:
     if not (math.isfinite(width) and math.isfinite(height)):
-        raise TorchweatherError(f"{source}: wanted an image size in pixels; got {width:g} x {height:g}.")
+        raise TorchweatherError(f"{source}: expected an image size in pixels; got {width:g} x {height:g}.")
     return {"width": int(width), "height": int(height)}
 
 
@@ -285,10 +285,10 @@ def _intrinsics(rows: Any, source: Path, name: str) -> dict[str, Any]:
         matrix = [[float(value) for value in row[:3]] for row in rows[:3]]
         (fx, skew, cx), (_, fy, cy), (_, _, one) = matrix
     except (TypeError, ValueError, KeyError) as error:
-        raise TorchweatherError(f"{source}: wanted numbers, 3 x 3, in {name}; {error}.") from error
+        raise TorchweatherError(f"{source}: expected numbers, 3 x 3, in {name}; {error}.") from error
     if not (abs(one - 1) < 1e-6 and abs(skew) <= 1e-3 * abs(fx)):
         raise TorchweatherError(
-            f"{source}: wanted a camera matrix without skew and with a last 1 in {name}; got {matrix}."
+            f"{source}: expected a camera matrix without skew and with a last 1 in {name}; got {matrix}."
         )
     return {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
 

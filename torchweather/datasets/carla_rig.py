@@ -114,8 +114,8 @@ class CarlaRig:
             readers["radar"] = partial(detections_from_carla, radar=radar, rcs_dbsm=rcs_dbsm)
         if any(kind not in readers for kind in sensors.values()):
             raise InputValueError(
-                "CarlaRig: a radar needs its link budget, because CARLA gives no power; wanted radar=Radar(...), such "
-                "as Radar.preset('imaging-77ghz')."
+                "CarlaRig: a radar needs its link budget, because CARLA gives no power; expected radar=Radar(...), "
+                "such as Radar.preset('imaging-77ghz')."
             )
         check_at_least("waiting_frames", waiting_frames, 1, owner=self)
         self.transform, self.sensors, self.deliver = transform, dict(sensors), deliver

@@ -86,8 +86,8 @@ def calibration_file(calibration: Path, frame: Path) -> Path:
         if not numbered:
             return alone[0]
     raise InputValueError(
-        f"{calibration}: no calibration for {frame.name}; wanted {frame.stem} with {' or '.join(_CALIBRATIONS)}, or a "
-        "single file for all frames."
+        f"{calibration}: no calibration for {frame.name}; expected {frame.stem} with {' or '.join(_CALIBRATIONS)}, or "
+        "a single file for all frames."
     )
 
 

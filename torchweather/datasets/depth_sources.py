@@ -149,5 +149,5 @@ def _same_name(folder: Path, frame: Path, calibrated: bool) -> Path:
         return cloud
     clouds = " or a cloud of that name" if calibrated else ""
     raise InputValueError(
-        f"{folder}: no depth map for {frame.name}; wanted {frame.stem} with {', '.join(DEPTH_SUFFIXES)}{clouds}."
+        f"{folder}: no depth map for {frame.name}; expected {frame.stem} with {', '.join(DEPTH_SUFFIXES)}{clouds}."
     )

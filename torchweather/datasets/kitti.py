@@ -116,11 +116,11 @@ def _projection(entries: dict[str, list[float]], source: Path) -> Tensor:
     """``P2``, ``(3, 4)``, with an invertible camera matrix."""
     if "P2" not in entries or len(entries["P2"]) not in (12, 16):
         found = ", ".join(f"{key} ({len(values)} numbers)" for key, values in entries.items()) or "no numbers"
-        raise TorchweatherError(f"{source}: wanted a KITTI calibration with P2 (12 or 16 numbers); got {found}.")
+        raise TorchweatherError(f"{source}: expected a KITTI calibration with P2 (12 or 16 numbers); got {found}.")
     projection = torch.tensor(entries["P2"][:12], dtype=torch.float64).view(3, 4)
     camera_matrix = projection[:, :3]
     if not bool(torch.linalg.det(camera_matrix).abs() > 0):
-        raise TorchweatherError(f"{source}: wanted an invertible camera matrix in P2; got {camera_matrix.tolist()}.")
+        raise TorchweatherError(f"{source}: expected an invertible camera matrix in P2; got {camera_matrix.tolist()}.")
     return projection
 
 
@@ -154,7 +154,7 @@ def _rectified_from_lidar(entries: dict[str, list[float]], source: Path) -> tupl
     else:
         if missing and not _is_bare(source):
             raise TorchweatherError(
-                f"{source}: wanted the Velodyne's place: R0_rect and Tr_velo_to_cam (object), R_rect and Tr_velo_cam "
+                f"{source}: expected the Velodyne's place: R0_rect and Tr_velo_to_cam (object), R_rect and Tr_velo_cam "
                 f"(tracking) or Tr (odometry); got {', '.join(entries) or 'no numbers'}, no "
                 f"{' and no '.join(missing)}. Another day's would shift every point. Of the raw kit keep "
                 "calib_velo_to_cam.txt beside calib_cam_to_cam.txt."
@@ -167,13 +167,13 @@ def _rectified_from_lidar(entries: dict[str, list[float]], source: Path) -> tupl
         to_reference[:3] = torch.tensor(transform, dtype=torch.float64).view(3, 4)
     except RuntimeError as error:
         raise TorchweatherError(
-            f"{source}: wanted 9 numbers in R0_rect and 12 in {name}; got {len(rotation)} and {len(transform)}."
+            f"{source}: expected 9 numbers in R0_rect and 12 in {name}; got {len(rotation)} and {len(transform)}."
         ) from error
     for key, matrix in ((_RECTIFY, rectify), (name, to_reference)):
         turn = matrix[:3, :3]
         off = float((turn @ turn.T - torch.eye(3, dtype=torch.float64)).abs().max())
         if not off < _ORTHOGONAL or float(torch.linalg.det(turn)) < 0:
-            raise TorchweatherError(f"{source}: wanted a rotation in {key}, right-handed; got {turn.tolist()}.")
+            raise TorchweatherError(f"{source}: expected a rotation in {key}, right-handed; got {turn.tolist()}.")
     assumption = f"{' and '.join(missing)} of KITTI's recording day 2011_09_26" if missing else ""
     return rectify @ to_reference, assumption
 
@@ -184,7 +184,7 @@ def _check_one_way(entries: dict[str, list[float]], source: Path) -> None:
     turned = len(rotation) != 9 or max(abs(a - b) for a, b in zip(rotation, _IDENTITY, strict=True)) > _ORTHOGONAL
     if _VELODYNE in entries or turned:
         raise TorchweatherError(
-            f"{source}: wanted either Tr, into the rectified camera (odometry), or R0_rect with Tr_velo_to_cam; got "
+            f"{source}: expected either Tr, into the rectified camera (odometry), or R0_rect with Tr_velo_to_cam; got "
             f"{', '.join(entries)}. Take out those that do not belong to the sequence."
         )
 
@@ -218,7 +218,7 @@ def read_kitti_entries(path: str | os.PathLike[str]) -> dict[str, list[float]]:
         rotation, shift = beside.get("R", []), beside.get("T", [])
         if (len(rotation), len(shift)) != (9, 3):
             raise TorchweatherError(
-                f"{velodyne}: wanted 9 numbers in R and 3 in T; got {len(rotation)} and {len(shift)}."
+                f"{velodyne}: expected 9 numbers in R and 3 in T; got {len(rotation)} and {len(shift)}."
             )
         entries[_VELODYNE] = [n for row in range(3) for n in (*rotation[3 * row : 3 * row + 3], shift[row])]
     return entries
@@ -244,5 +244,5 @@ def _named_numbers(source: Path) -> dict[str, list[float]]:
     except FileNotFoundError as error:
         raise TorchweatherError(f"{source}: no such file.") from error
     except (OSError, ValueError) as error:
-        raise TorchweatherError(f"{source}: wanted a KITTI calibration (names, colon, numbers); {error}.") from error
+        raise TorchweatherError(f"{source}: expected a KITTI calibration (names, colon, numbers); {error}.") from error
     return entries

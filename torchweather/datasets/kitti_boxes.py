@@ -81,8 +81,8 @@ def read_kitti_boxes(
             track, words = {"track_id": int(words[1])}, words[2:]
         elif frame is not None:
             raise TorchweatherError(
-                f"{source}: line {number}: wanted labels of the tracking kit, frame and track first; got {words[0]!r}. "
-                "Leave frame out."
+                f"{source}: line {number}: expected labels of the tracking kit, frame and track first; got "
+                f"{words[0]!r}. Leave frame out."
             )
         try:
             values = [float(word) for word in words[1:]]
@@ -99,7 +99,7 @@ def read_kitti_boxes(
             }
         except (ValueError, OverflowError) as error:
             raise TorchweatherError(
-                f"{source}: line {number}: wanted a name and {_NUMBERS} numbers, or {_NUMBERS + 1} with a score; got "
+                f"{source}: line {number}: expected a name and {_NUMBERS} numbers, or {_NUMBERS + 1} with a score; got "
                 f"{error}."
             ) from error
         if len(values) > _NUMBERS:
@@ -112,7 +112,7 @@ def read_kitti_boxes(
             places.append(values[7:14])
     table = torch.tensor(places, dtype=torch.float64).reshape(-1, 7)
     if not bool(torch.isfinite(table).all()):
-        raise TorchweatherError(f"{source}: wanted finite sizes, places and rotations; got NaN or inf.")
+        raise TorchweatherError(f"{source}: expected finite sizes, places and rotations; got NaN or inf.")
     height, width, length = table[:, 0], table[:, 1], table[:, 2]
     centre = torch.stack((table[:, 3], table[:, 4] - 0.5 * height, table[:, 5]), dim=-1)  # y points down
     back = torch.linalg.inv(transform)

@@ -52,7 +52,7 @@ def read_nuscenes_calibration(path: str | os.PathLike[str], camera: str = "CAM_F
     if camera not in entries:
         names = [name for name, entry in entries.items() if isinstance(entry, dict) and "cam2img" in entry]
         raise TorchweatherError(
-            f"{source}: wanted an entry {camera!r}; got cameras {', '.join(names) or 'none'}."
+            f"{source}: expected an entry {camera!r}; got cameras {', '.join(names) or 'none'}."
             f"{nearest_name(camera, names)}"
         )
     try:
@@ -60,11 +60,11 @@ def read_nuscenes_calibration(path: str | os.PathLike[str], camera: str = "CAM_F
         transform = torch.tensor(entries[camera]["lidar2cam"], dtype=torch.float64)
     except (KeyError, TypeError, ValueError) as error:
         raise TorchweatherError(
-            f"{source}: wanted numbers in cam2img and lidar2cam of {camera!r}; {type(error).__name__}: {error}."
+            f"{source}: expected numbers in cam2img and lidar2cam of {camera!r}; {type(error).__name__}: {error}."
         ) from error
     if camera_matrix.shape != (3, 3) or transform.shape != (4, 4):
         raise TorchweatherError(
-            f"{source}: wanted cam2img 3 x 3 and lidar2cam 4 x 4 of {camera!r}; got {tuple(camera_matrix.shape)} and "
+            f"{source}: expected cam2img 3 x 3 and lidar2cam 4 x 4 of {camera!r}; got {tuple(camera_matrix.shape)} and "
             f"{tuple(transform.shape)}."
         )
     try:

@@ -63,8 +63,8 @@ def boxes_from_nuscenes(annotations: Iterable[Mapping[str, Any]], T_lidar_from_b
                 raise InputValueError(f"{[len(part) for part in parts]} numbers")
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise TorchweatherError(
-                f"annotation {number}: wanted translation (3), size (3: width, length, height) and rotation (4: w, x, "
-                f"y, z); {type(error).__name__}: {error}."
+                f"annotation {number}: expected translation (3), size (3: width, length, height) and rotation (4: w, "
+                f"x, y, z); {type(error).__name__}: {error}."
             ) from error
         rows.append([number for part in parts for number in part])
     table = torch.tensor(rows, dtype=torch.float64).reshape(-1, 10)
@@ -72,7 +72,7 @@ def boxes_from_nuscenes(annotations: Iterable[Mapping[str, Any]], T_lidar_from_b
     if bool(bad.any()):
         first = int(torch.nonzero(bad)[0])
         raise TorchweatherError(
-            f"annotation {first}: wanted finite numbers, sizes above 0 m and a quaternion that is not 0; got "
+            f"annotation {first}: expected finite numbers, sizes above 0 m and a quaternion that is not 0; got "
             f"{table[first].tolist()}."
         )
     w, x, y, z = (table[:, 6:] / table[:, 6:].norm(dim=1, keepdim=True)).unbind(dim=1)
@@ -142,20 +142,20 @@ def read_nuscenes_boxes(
     try:
         content = json.loads(source.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise TorchweatherError(f"{source}: wanted json with nuScenes annotations; {error}.") from error
+        raise TorchweatherError(f"{source}: expected json with nuScenes annotations; {error}.") from error
     if isinstance(content, dict) and isinstance(content.get("results"), dict):
         results = content["results"]
         token = next(iter(results)) if sample_token is None and len(results) == 1 else sample_token
         if token not in results:
             raise TorchweatherError(
-                f"{source}: wanted sample_token, one of {len(results)} samples ({', '.join(list(results)[:3])}, ...); "
-                f"got {sample_token!r}."
+                f"{source}: expected sample_token, one of {len(results)} samples ({', '.join(list(results)[:3])}, "
+                f"...); got {sample_token!r}."
             )
         content = results[token]
     elif isinstance(content, list) and sample_token is not None:
         content = [entry for entry in content if isinstance(entry, dict) and entry.get("sample_token") == sample_token]
     if not isinstance(content, list) or not all(isinstance(entry, dict) for entry in content):
-        raise TorchweatherError(f"{source}: wanted a list of nuScenes annotations; got {type(content).__name__}.")
+        raise TorchweatherError(f"{source}: expected a list of nuScenes annotations; got {type(content).__name__}.")
     try:
         return boxes_from_nuscenes(content, T_lidar_from_boxes)
     except TorchweatherError as error:

@@ -164,7 +164,7 @@ def _read_metadata(said: Mapping[str, str]) -> _Said:
         from torchweather.core.exceptions import TorchweatherError
 
         raise TorchweatherError(
-            "draw_feed: wanted a graph written by torchweather.export.to_onnx; this one lacks the list of its noise "
+            "draw_feed: expected a graph written by torchweather.export.to_onnx; this one lacks the list of its noise "
             f"(metadata {METADATA_KEY!r})."
         )
     entries: Sequence[Mapping[str, Any]] = json.loads(text)
@@ -187,4 +187,4 @@ def _opened(model: str | os.PathLike[str] | bytes) -> InferenceSession:
         from torchweather.core.exceptions import TorchweatherError
 
         name = "the bytes" if isinstance(model, bytes) else os.fspath(model)
-        raise TorchweatherError(f"draw_feed: {name}: wanted an ONNX graph; {error}") from error
+        raise TorchweatherError(f"draw_feed: {name}: expected an ONNX graph; {error}") from error

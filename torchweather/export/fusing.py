@@ -151,7 +151,7 @@ def _opened(detector: Any) -> Any:
         raise TorchweatherError(f"fuse: {name}: no such file.") from error
     except Exception as error:  # protobuf's and onnx's own
         reason = " ".join(str(error).split())
-        raise TorchweatherError(f"fuse: {name}: wanted an ONNX graph; it cannot be read ({reason}).") from error
+        raise TorchweatherError(f"fuse: {name}: expected an ONNX graph; it cannot be read ({reason}).") from error
     return model
 
 

@@ -65,7 +65,7 @@ class Additions(Sequence[Effect]):
         """
         if not isinstance(model, RecipeTransform):
             raise InputTypeError(
-                "Additions.apply: wanted a LidarWeather, a BayerWeather or a RadarAttenuation; got "
+                "Additions.apply: expected a LidarWeather, a BayerWeather or a RadarAttenuation; got "
                 f"{type(model).__name__}."
             )
         repaired = with_more_effects(model, self.effects)

@@ -124,12 +124,12 @@ def read_adc(
         axes = tuple(axis for axis in axes if axis != "channel")
     if in_phase.ndim != len(axes) or 0 in in_phase.shape:
         raise TorchweatherError(
-            f"{source}: wanted a cube of axes {', '.join(axes)}, none of them 0; got {in_phase.shape}. Name the axes "
+            f"{source}: expected a cube of axes {', '.join(axes)}, none of them 0; got {in_phase.shape}. Name the axes "
             "with layout=(...)."
         )
     if in_phase.shape[axes.index("sample")] < 2:
         raise TorchweatherError(
-            f"{source}: wanted 2 samples or more in a chirp, one has no range; got {in_phase.shape} as "
+            f"{source}: expected 2 samples or more in a chirp, one has no range; got {in_phase.shape} as "
             f"{', '.join(axes)}. Another layout=(...), perhaps?"
         )
     faulty = unsigned_16bit != "keep" and _is_unsigned(in_phase, in_quadrature)
@@ -146,7 +146,7 @@ def read_adc(
     with np.errstate(over="ignore", invalid="ignore"):
         cube = (in_phase + 1j * in_quadrature).astype(np.complex64)
     if not bool(np.isfinite(cube).all()):
-        raise TorchweatherError(f"{source}: wanted finite samples; {int((~np.isfinite(cube)).sum())} are not.")
+        raise TorchweatherError(f"{source}: expected finite samples; {int((~np.isfinite(cube)).sum())} are not.")
     ordered = cube.transpose([axes.index(axis) for axis in _CUBE_AXES if axis in axes])
     if "channel" not in axes:
         ordered = ordered[None]
@@ -215,13 +215,14 @@ def _stored(source: Path, quadrature: str) -> tuple[Samples, Samples, tuple[str,
                 pair = [_real(lower[name], source) for name in (first, second)]
                 if pair[0].shape != pair[1].shape:
                     raise TorchweatherError(
-                        f"{source}: wanted {first} and {second} of one shape; got {pair[0].shape} and {pair[1].shape}."
+                        f"{source}: expected {first} and {second} of one shape; got {pair[0].shape} and "
+                        f"{pair[1].shape}."
                     )
                 return pair[0], pair[1], layout
         known = [name for name in _KEYS if name in lower] or (list(lower) if len(lower) == 1 else [])
         if not known:
             raise TorchweatherError(
-                f"{source}: wanted an array cube or adc, or i and q, or real and imag; got {', '.join(arrays)}."
+                f"{source}: expected an array cube or adc, or i and q, or real and imag; got {', '.join(arrays)}."
             )
         array = lower[known[0]]
     else:
@@ -242,14 +243,14 @@ def _quadratures(array: npt.NDArray[Any], quadrature: str, source: Path) -> tupl
             values = _real(array, source)
             return values[..., 0::2], values[..., 1::2]
     raise TorchweatherError(
-        f"{source}: wanted complex samples, or I and Q as a last axis of 2, or interleaved (quadrature='interleaved'); "
-        f"got {array.dtype} {array.shape} with quadrature={quadrature!r}."
+        f"{source}: expected complex samples, or I and Q as a last axis of 2, or interleaved "
+        f"(quadrature='interleaved'); got {array.dtype} {array.shape} with quadrature={quadrature!r}."
     )
 
 
 def _real(array: npt.NDArray[Any], source: Path) -> Samples:
     if array.dtype.kind not in "fiu":
-        raise TorchweatherError(f"{source}: wanted numbers; got {array.dtype}.")
+        raise TorchweatherError(f"{source}: expected numbers; got {array.dtype}.")
     return array.astype(np.float64)
 
 

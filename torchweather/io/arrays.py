@@ -21,5 +21,7 @@ _READABLE = (np.uint8, np.uint16, np.int16, np.int32, np.float16, np.float32, np
 def array_to_tensor(array: npt.NDArray[Any], path: str | os.PathLike[str], wanted: str) -> Tensor:
     """A tensor with memory of its own, in native byte order; other than image dtypes are refused."""
     if array.dtype.newbyteorder("=") not in [np.dtype(t) for t in _READABLE]:
-        raise TorchweatherError(f"{path}: wanted {wanted} as uint8, uint16, int16, int32 or float; got {array.dtype}.")
+        raise TorchweatherError(
+            f"{path}: expected {wanted} as uint8, uint16, int16, int32 or float; got {array.dtype}."
+        )
     return torch.from_numpy(np.array(array, dtype=array.dtype.newbyteorder("="), order="C", copy=True))

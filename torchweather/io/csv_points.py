@@ -42,18 +42,18 @@ def read_csv_points(path: str | os.PathLike[str]) -> StoredPoints:
     first = [word.strip() for word in lines[0].split(",")]
     if len(first) > _MOST_COLUMNS:
         raise TorchweatherError(
-            f"{source}: wanted a point a line, {_MOST_COLUMNS} columns at most; got {len(first):,} columns. Is it "
+            f"{source}: expected a point a line, {_MOST_COLUMNS} columns at most; got {len(first):,} columns. Is it "
             "a table of something else?"
         )
     named = not all(_is_number(word) for word in first) and any(first)
     if not named and not text.strip():
         raise TorchweatherError(
-            f"{source}: wanted rows of numbers x, y, z, intensity; the file is empty. An empty cloud needs a line of "
+            f"{source}: expected rows of numbers x, y, z, intensity; the file is empty. An empty cloud needs a line of "
             "names."
         )
     names = [word.strip("\"'") for word in first] if named else list(_default_names(len(first)))
     if not all(names):
-        raise TorchweatherError(f"{source}: wanted a name for each column; got {lines[0].strip()!r}.")
+        raise TorchweatherError(f"{source}: expected a name for each column; got {lines[0].strip()!r}.")
     header = lines[0].rstrip("\r").encode("utf-8") if named else b""
     columns = parse_columns(
         lines[1:] if named else lines,

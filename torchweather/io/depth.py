@@ -195,7 +195,7 @@ def _check_shape(raw: Tensor, channels: int, source: Path) -> None:
     if raw.ndim < 3 or raw.shape[-3] != channels or raw.numel() == 0:
         advice = ' A colour PNG may be CARLA\'s: encoding="carla".' if raw.ndim >= 3 and raw.shape[-3] == 3 else ""
         raise TorchweatherError(
-            f"{source}: wanted a depth map of shape (..., {channels}, H, W); got {tuple(raw.shape)}.{advice}"
+            f"{source}: expected a depth map of shape (..., {channels}, H, W); got {tuple(raw.shape)}.{advice}"
         )
 
 

@@ -201,7 +201,7 @@ def spectrum_from_drops(
     )
     _edges(edges, owner)
     if time.numel() == 0:
-        raise InputValueError(f"{owner}: wanted one drop or more; got none.")
+        raise InputValueError(f"{owner}: expected one drop or more; got none.")
     if {tuple(value.shape) for value in (diameter, speed, area, time)} != {(len(time),)}:
         shapes = ", ".join(str(tuple(value.shape)) for value in (diameter, speed, area, time))
         raise InputValueError(f"{owner}: diameters, speeds, areas and times must be (N,) each; got {shapes}.")

@@ -138,9 +138,9 @@ def read_image(path: str | os.PathLike[str]) -> tuple[Tensor, ImageInfo]:
         pixels, orientation = _decoded(source)
         image = array_to_tensor(pixels[None] if pixels.ndim == 2 else np.moveaxis(pixels, -1, 0), source, "an image")
     else:
-        raise TorchweatherError(f"{source}: wanted {_WANTED}; got {suffix or 'no ending'}.")
+        raise TorchweatherError(f"{source}: expected {_WANTED}; got {suffix or 'no ending'}.")
     if image.numel() == 0:
-        raise TorchweatherError(f"{source}: wanted {_WANTED}; got one without pixels, shape {tuple(image.shape)}.")
+        raise TorchweatherError(f"{source}: expected {_WANTED}; got one without pixels, shape {tuple(image.shape)}.")
     kind = "mosaic" if image.shape[-3] == 1 else "rgb"
     if kind == "mosaic" and orientation != 1:
         warnings.warn(
@@ -183,12 +183,12 @@ def write_image(
     target = Path(path)
     suffix = target.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:
-        raise TorchweatherError(f"{target}: cannot be written; wanted {_WANTED}; got {suffix or 'no ending'}.")
+        raise TorchweatherError(f"{target}: cannot be written; expected {_WANTED}; got {suffix or 'no ending'}.")
     pixels = image.detach().cpu()
     pixels = pixels[None] if pixels.ndim == 2 else pixels
     if pixels.ndim < 3 or pixels.shape[-3] not in (1, 3) or pixels.numel() == 0:
         raise TorchweatherError(
-            f"{target}: wanted an image of shape (H, W), (1, H, W) or (3, H, W); got {tuple(image.shape)}."
+            f"{target}: expected an image of shape (H, W), (1, H, W) or (3, H, W); got {tuple(image.shape)}."
         )
     array = as_numpy(pixels)
     if suffix == ".npz":
@@ -266,16 +266,16 @@ def decoded_picture(file: BinaryIO, source: Path, stored_bytes: int) -> tuple[np
             raise TorchweatherError(
                 f"{source}: this Pillow was built without WebP. Install one with it, or convert the file to .png."
             ) from error
-        raise TorchweatherError(f"{source}: wanted {_WANTED}; the content is none of them.") from error
+        raise TorchweatherError(f"{source}: expected {_WANTED}; the content is none of them.") from error
     except Image.DecompressionBombError as error:
-        raise TorchweatherError(f"{source}: wanted {_WANTED}; {error}.") from error
+        raise TorchweatherError(f"{source}: expected {_WANTED}; {error}.") from error
     except BROKEN_PICTURE as error:
-        raise TorchweatherError(f"{source}: wanted {_WANTED}; it is truncated or damaged ({error}).") from error
+        raise TorchweatherError(f"{source}: expected {_WANTED}; it is truncated or damaged ({error}).") from error
     if mode == "I" and pixels.min() >= 0 and pixels.max() <= 65535:
         # Some 16-bit files are opened in a 32-bit mode.
         return pixels.astype(np.uint16), orientation
     if mode not in ("L", "RGB", "I", "F") and not mode.startswith("I;16"):
-        raise TorchweatherError(f"{source}: wanted a grey or RGB picture; got mode {mode}.")
+        raise TorchweatherError(f"{source}: expected a grey or RGB picture; got mode {mode}.")
     return pixels, orientation
 
 
@@ -303,7 +303,8 @@ def _check_single(picture: Image.Image, source: Path) -> None:
         return
     if picture.format != "TIFF":
         raise TorchweatherError(
-            f"{source}: wanted one picture; got a moving one of {count} frames ({picture.format}). Extract its frames."
+            f"{source}: expected one picture; got a moving one of {count} frames ({picture.format}). Extract its "
+            "frames."
         )
     pages = []
     for number in range(count):
@@ -312,7 +313,7 @@ def _check_single(picture: Image.Image, source: Path) -> None:
         if not int(picture.tag_v2.get(_NEW_SUBFILE_TYPE, 0)) & 1:  # type: ignore[attr-defined]
             pages.append(number)
     if len(pages) != 1:
-        raise TorchweatherError(f"{source}: wanted one picture; got a TIFF of {count} pages. Split it into files.")
+        raise TorchweatherError(f"{source}: expected one picture; got a TIFF of {count} pages. Split it into files.")
     picture.seek(pages[0])
 
 
@@ -376,5 +377,6 @@ def _channels_first(image: Tensor, source: Path) -> tuple[Tensor, str | None]:
     if image.ndim >= 3 and image.shape[-1] in (1, 3):
         return torch.movedim(image, -1, -3).contiguous(), "channels_last"
     raise TorchweatherError(
-        f"{source}: wanted an image (H, W), (..., C, H, W) or (..., H, W, C) with C = 1 or 3; got {tuple(image.shape)}."
+        f"{source}: expected an image (H, W), (..., C, H, W) or (..., H, W, C) with C = 1 or 3; got "
+        f"{tuple(image.shape)}."
     )

@@ -136,7 +136,7 @@ def read_labels(path: str | os.PathLike[str], n_points: int | None = None) -> Po
         wanted = "at least one" if n_points is None else str(n_points)
         what = "4 bytes (class and instance, 16 bits each)" if dtype.itemsize == 4 else "1 byte (class)"
         raise TorchweatherError(
-            f"{source}: wanted {wanted} labels of {what}; got {size} bytes. The file is truncated or belongs to "
+            f"{source}: expected {wanted} labels of {what}; got {size} bytes. The file is truncated or belongs to "
             "another cloud."
         )
     labels = torch.from_numpy(packed.astype(np.int64))
@@ -178,8 +178,8 @@ def _read_panoptic(source: Path, n_points: int | None) -> PointLabels:
         got = "no array data" if data is None else f"data {data.dtype} {data.shape}"
         wanted = "one whole number" if n_points is None else f"{n_points} whole numbers"
         raise TorchweatherError(
-            f"{source}: wanted {wanted} in data, (N,), 1000 times the class plus the instance; got {got}. The file is "
-            "damaged or belongs to another cloud."
+            f"{source}: expected {wanted} in data, (N,), 1000 times the class plus the instance; got {got}. The file "
+            "is damaged or belongs to another cloud."
         )
     labels = torch.from_numpy(data.astype(np.int64))
     return PointLabels(labels // _PANOPTIC, labels % _PANOPTIC)

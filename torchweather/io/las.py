@@ -141,7 +141,7 @@ def _check_positions(columns: dict[str, npt.NDArray[Any]], header: Any, target: 
     """Refuse positions that are no 32-bit numbers of steps of the header's scale."""
     for axis, scale, offset in zip(_POSITION, header.scales, header.offsets, strict=True):
         if axis not in columns:
-            raise TorchweatherError(f"{target}: wanted columns x, y, z in metres; got {', '.join(columns)}.")
+            raise TorchweatherError(f"{target}: expected columns x, y, z in metres; got {', '.join(columns)}.")
         steps = (columns[axis].astype(np.float64) - offset) / scale
         limits = np.iinfo(np.int32)
         if not bool(((steps >= limits.min) & (steps <= limits.max)).all()):

@@ -66,7 +66,7 @@ def read_npz_points(
             return StoredPoints(layout, columns, _grid(table.shape[:-1], source))
     shapes = ", ".join(f"{name} {array.dtype} {array.shape}" for name, array in arrays.items()) or "nothing"
     raise TorchweatherError(
-        f"{source}: wanted numbers as points (N, C) or (H, W, C), or as x, y, z, intensity (N,) each; got {shapes}."
+        f"{source}: expected numbers as points (N, C) or (H, W, C), or as x, y, z, intensity (N,) each; got {shapes}."
     )
 
 
@@ -100,11 +100,11 @@ def _names(columns: npt.NDArray[Any] | None, count: int, usual: Sequence[str], s
         return tuple(usual[k] if k < len(usual) else f"column_{k}" for k in range(count))
     names = tuple(str(name) for name in columns.reshape(-1).tolist())
     if columns.dtype.kind != "U" or len(names) != count:
-        raise TorchweatherError(f"{source}: wanted {count} names in columns, one for each; got {names}.")
+        raise TorchweatherError(f"{source}: expected {count} names in columns, one for each; got {names}.")
     return names
 
 
 def _grid(shape: tuple[int, ...], source: Path) -> tuple[int, int] | None:
     if len(shape) > 2 or not shape:
-        raise TorchweatherError(f"{source}: wanted points as (N,) or (H, W); got {shape}.")
+        raise TorchweatherError(f"{source}: expected points as (N,) or (H, W); got {shape}.")
     return (shape[0], shape[1]) if len(shape) == 2 else None

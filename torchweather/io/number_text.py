@@ -78,7 +78,7 @@ def parse_columns(
     wanted = [line for line in lines if line and not line.isspace()]
     if rows is not None and len(wanted) != rows:
         raise TorchweatherError(
-            f"{source}: wanted {rows} rows of numbers, the count in its header; got {len(wanted)}. The file is "
+            f"{source}: expected {rows} rows of numbers, the count in its header; got {len(wanted)}. The file is "
             "truncated or its header is wrong."
         )
     if not wanted:
@@ -87,12 +87,12 @@ def parse_columns(
         table = _loaded(wanted, np.dtype(np.float64), delimiter)
     except ValueError as error:
         raise TorchweatherError(
-            f"{source}: wanted rows of {len(dtypes)} numbers from line {first_line} on; {error} (rows counted from "
+            f"{source}: expected rows of {len(dtypes)} numbers from line {first_line} on; {error} (rows counted from "
             "there)."
         ) from error
     if table.shape[1] != len(dtypes):
         raise TorchweatherError(
-            f"{source}: wanted rows of {len(dtypes)} numbers from line {first_line} on; got {table.shape[1]}."
+            f"{source}: expected rows of {len(dtypes)} numbers from line {first_line} on; got {table.shape[1]}."
         )
     columns = []
     for index, dtype in enumerate(dtypes):
@@ -134,5 +134,5 @@ def _integers(
     except (ValueError, OverflowError) as error:
         reason = str(error)
     raise TorchweatherError(
-        f"{source}: wanted whole numbers {limits.min}..{limits.max} ({dtype.name}) in column {index + 1}; {reason}."
+        f"{source}: expected whole numbers {limits.min}..{limits.max} ({dtype.name}) in column {index + 1}; {reason}."
     )

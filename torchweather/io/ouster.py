@@ -127,7 +127,7 @@ def _frames(sdk: Any, source: Path, description: Path, field: str, incomplete: b
     try:
         infos = list(recording.sensor_info)
         if len(infos) != 1:
-            raise TorchweatherError(f"{source}: wanted the packets of one sensor; got {len(infos)}.")
+            raise TorchweatherError(f"{source}: expected the packets of one sensor; got {len(infos)}.")
         geometry = _Geometry(sdk.core, infos[0])
         frames = iter(recording)
         while True:
@@ -145,7 +145,7 @@ def _frames(sdk: Any, source: Path, description: Path, field: str, incomplete: b
     finally:
         recording.close()
     if not found:
-        raise TorchweatherError(f"{source}: wanted LiDAR packets of the sensor in {description.name}; got no frame.")
+        raise TorchweatherError(f"{source}: expected LiDAR packets of the sensor in {description.name}; got no frame.")
 
 
 class _Geometry:
@@ -176,7 +176,7 @@ class _Geometry:
         names = [str(name) for name in frame.fields]
         if field not in names:
             raise TorchweatherError(
-                f"{source}: wanted intensity {field.lower()!r}; the recording has {', '.join(names).lower()}. "
+                f"{source}: expected intensity {field.lower()!r}; the recording has {', '.join(names).lower()}. "
                 "Low-bandwidth recordings have no signal: take intensity='reflectivity'."
             )
         range_m = self._rows(np.asarray(frame.field("RANGE"))).astype(np.float64) / 1000.0

@@ -102,7 +102,7 @@ def read_parsivel_netcdf(source: Path, fall_speed_tolerance: float) -> DropSpect
     except TorchweatherError:
         raise
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise TorchweatherError(f"{source}: wanted NetCDF; it is truncated or damaged ({error}).") from error
+        raise TorchweatherError(f"{source}: expected NetCDF; it is truncated or damaged ({error}).") from error
 
 
 def _parsivel_from_variables(
@@ -114,7 +114,7 @@ def _parsivel_from_variables(
     interval = next((n for n in _INTERVAL_NAMES if n in variables), None)
     if spectrum_name is None or bounds is None or speeds is None or interval is None or "time" not in variables:
         raise TorchweatherError(
-            f"{source}: wanted a Parsivel file with time, {' or '.join(_INTERVAL_NAMES)}, one of "
+            f"{source}: expected a Parsivel file with time, {' or '.join(_INTERVAL_NAMES)}, one of "
             f"{', '.join(_SPECTRUM_NAMES)} and the bounds of its classes; got {', '.join(list(variables)[:40])}."
         )
     stored = source.stat().st_size
@@ -126,7 +126,8 @@ def _parsivel_from_variables(
     classes, speed_classes = len(lower), len(speed_lower)
     if counts.ndim != 3 or sorted(counts.shape[1:]) != sorted((classes, speed_classes)):
         raise TorchweatherError(
-            f"{source}: wanted {spectrum_name} (time, {classes} diameters, {speed_classes} speeds); got {counts.shape}."
+            f"{source}: expected {spectrum_name} (time, {classes} diameters, {speed_classes} speeds); got "
+            f"{counts.shape}."
         )
     edges = torch.from_numpy(np.append(lower, upper[-1]))
     speed = torch.from_numpy(0.5 * (speed_lower + speed_upper))
@@ -167,7 +168,7 @@ def read_parsivel_telegrams(source: Path, fall_speed_tolerance: float) -> DropSp
         for number, row in enumerate(_telegram_rows(source), start=1):
             if len(row) != _TELEGRAM_COLUMNS:
                 raise TorchweatherError(
-                    f"{source}: wanted a disdrometer file (NetCDF, or telegrams of {_TELEGRAM_COLUMNS} columns); "
+                    f"{source}: expected a disdrometer file (NetCDF, or telegrams of {_TELEGRAM_COLUMNS} columns); "
                     f"line {number} has {len(row)} columns."
                 )
             spectrum = np.fromstring(row[_TELEGRAM_SPECTRUM].rstrip(",") or "0", dtype=np.float64, sep=",")
@@ -175,7 +176,7 @@ def read_parsivel_telegrams(source: Path, fall_speed_tolerance: float) -> DropSp
             spectrum = np.zeros(_PARSIVEL_CLASSES**2) if spectrum.size == 1 else spectrum
             if spectrum.size != _PARSIVEL_CLASSES**2:
                 raise TorchweatherError(
-                    f"{source}: line {number} has {spectrum.size} classes; wanted {_PARSIVEL_CLASSES**2}."
+                    f"{source}: line {number} has {spectrum.size} classes; expected {_PARSIVEL_CLASSES**2}."
                 )
             if not _STAMP.fullmatch(row[_TELEGRAM_TIME].strip()):
                 raise InputValueError(f"got the time {row[_TELEGRAM_TIME][:40]!r}")
@@ -187,11 +188,11 @@ def read_parsivel_telegrams(source: Path, fall_speed_tolerance: float) -> DropSp
         stamps = np.array(times, dtype="datetime64[s]").astype(np.float64)
     except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error, ValueError) as error:
         raise TorchweatherError(
-            f"{source}: wanted a disdrometer file (NetCDF, or Parsivel telegrams); it is truncated or something else "
+            f"{source}: expected a disdrometer file (NetCDF, or Parsivel telegrams); it is truncated or something else "
             f"({error})."
         ) from error
     if not spectra:
-        raise TorchweatherError(f"{source}: wanted a disdrometer file; got an empty one.")
+        raise TorchweatherError(f"{source}: expected a disdrometer file; got an empty one.")
     edges = parsivel_edges_mm()
     by_speed = torch.from_numpy(np.stack(spectra)).view(-1, _PARSIVEL_CLASSES, _PARSIVEL_CLASSES)
     return spectrum_from_counts(
@@ -220,7 +221,9 @@ def _lines(text: IO[str], source: Path) -> Iterator[str]:
     """Lines of a text, none longer than a telegram can be: a packed file may inflate to gigabytes of one line."""
     while line := text.readline(_LONGEST_LINE):
         if len(line) == _LONGEST_LINE:
-            raise TorchweatherError(f"{source}: wanted telegrams; got a line of more than {_LONGEST_LINE} characters.")
+            raise TorchweatherError(
+                f"{source}: expected telegrams; got a line of more than {_LONGEST_LINE} characters."
+            )
         yield line
 
 
@@ -239,7 +242,7 @@ def _seconds(source: Path, variable: Any) -> npt.NDArray[np.float64]:
     units = _text(variable.attrs.get("units", ""))
     found = re.match(r"(second|minute|hour|day)s? since (\d{4}-\d{2}-\d{2})(?:[ T](\d{2}:\d{2}:\d{2}))?", units)
     if found is None:
-        raise TorchweatherError(f"{source}: wanted time as hours since 2024-07-22 or the like; got {units!r}.")
+        raise TorchweatherError(f"{source}: expected time as hours since 2024-07-22 or the like; got {units!r}.")
     step = {"second": 1.0, "minute": 60.0, "hour": 3600.0, "day": 86400.0}[found[1]]
     start = np.datetime64(f"{found[2]}T{found[3] or '00:00:00'}", "s").astype(np.float64)
     with np.errstate(over="ignore"):  # what overflows is refused as a time

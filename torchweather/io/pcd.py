@@ -128,7 +128,7 @@ def _raw_header(file: Any, source: Path) -> bytes:
             return b"".join(lines)
         if not line:
             break
-    raise TorchweatherError(f"{source}: wanted a PCD header that ends in a line DATA; there is none.")
+    raise TorchweatherError(f"{source}: expected a PCD header that ends in a line DATA; there is none.")
 
 
 def _parsed(raw: bytes, source: Path) -> _Header:
@@ -148,12 +148,12 @@ def _parsed(raw: bytes, source: Path) -> _Header:
         data = entries["DATA"][0].lower()
     except (KeyError, IndexError, ValueError) as error:
         raise TorchweatherError(
-            f"{source}: wanted a PCD header with FIELDS, SIZE, TYPE, WIDTH, HEIGHT, POINTS and DATA; "
+            f"{source}: expected a PCD header with FIELDS, SIZE, TYPE, WIDTH, HEIGHT, POINTS and DATA; "
             f"{type(error).__name__}: {error}."
         ) from error
     if not names or not len(names) == len(sizes) == len(types) == len(counts):
         raise TorchweatherError(
-            f"{source}: wanted as many SIZE, TYPE and COUNT as FIELDS; got {len(names)} fields, {len(sizes)} sizes, "
+            f"{source}: expected as many SIZE, TYPE and COUNT as FIELDS; got {len(names)} fields, {len(sizes)} sizes, "
             f"{len(types)} types and {len(counts)} counts."
         )
     fields = []
@@ -167,15 +167,15 @@ def _parsed(raw: bytes, source: Path) -> _Header:
     row_bytes = sum(size * count for size, count in zip(sizes, counts, strict=True))
     if row_bytes > _MAX_ROW_BYTES:
         raise TorchweatherError(
-            f"{source}: wanted at most {_MAX_ROW_BYTES} bytes for a point; got {row_bytes} from SIZE and COUNT."
+            f"{source}: expected at most {_MAX_ROW_BYTES} bytes for a point; got {row_bytes} from SIZE and COUNT."
         )
     if min(width, height, points) < 0 or width * height != points:
         raise TorchweatherError(
-            f"{source}: wanted POINTS = WIDTH x HEIGHT, none negative; got POINTS {points}, WIDTH {width}, "
+            f"{source}: expected POINTS = WIDTH x HEIGHT, none negative; got POINTS {points}, WIDTH {width}, "
             f"HEIGHT {height}."
         )
     if data not in PCD_ENCODINGS:
-        raise TorchweatherError(f"{source}: wanted DATA {', '.join(PCD_ENCODINGS)}; got {data!r}.")
+        raise TorchweatherError(f"{source}: expected DATA {', '.join(PCD_ENCODINGS)}; got {data!r}.")
     return _Header(tuple(fields), width, height, points, data)
 
 
@@ -184,7 +184,7 @@ def _check_surplus(source: Path, available: int, header: _Header) -> None:
     size = row_dtype(header.fields).itemsize
     if available - header.points * size >= size:
         raise TorchweatherError(
-            f"{source}: wanted {header.points} points of {size} bytes, those of its header; got {available} bytes of "
+            f"{source}: expected {header.points} points of {size} bytes, those of its header; got {available} bytes of "
             "data. The header is wrong."
         )
 
@@ -209,13 +209,13 @@ def _compressed(body: bytes, header: _Header, source: Path) -> tuple[Any, ...]:
     if len(body) < 8:
         if not header.points and not any(body):
             return unpacked(np.zeros(0, row_dtype(header.fields)), header.fields)
-        raise TorchweatherError(f"{source}: wanted the compressed and plain size, 8 bytes; got {len(body)} bytes.")
+        raise TorchweatherError(f"{source}: expected the compressed and plain size, 8 bytes; got {len(body)} bytes.")
     packed_bytes, plain_bytes = (int(number) for number in np.frombuffer(body, "<u4", 2))
     if plain_bytes != wanted or packed_bytes > len(body) - 8 or plain_bytes > packed_bytes * LZF_MAX_RATIO:
         raise TorchweatherError(
-            f"{source}: wanted {header.points} points, {wanted} bytes, from the header; got {packed_bytes} compressed "
-            f"bytes of which {len(body) - 8} are there, said to stand for {plain_bytes}. The file is truncated or its "
-            "header is wrong."
+            f"{source}: expected {header.points} points, {wanted} bytes, from the header; got {packed_bytes} "
+            f"compressed bytes of which {len(body) - 8} are there, said to stand for {plain_bytes}. The file is "
+            "truncated or its header is wrong."
         )
     try:
         plain = lzf_decompress(body[8 : 8 + packed_bytes], plain_bytes)
@@ -243,7 +243,7 @@ def _viewpoint(raw: bytes, source: Path) -> tuple[float, ...] | None:
         numbers = ()
     if len(numbers) != 7 or not all(math.isfinite(number) for number in numbers):
         raise TorchweatherError(
-            f"{source}: wanted VIEWPOINT x y z w x y z, a place in metres and a quaternion; got "
+            f"{source}: expected VIEWPOINT x y z w x y z, a place in metres and a quaternion; got "
             f"{b' '.join(words[:12]).decode('latin-1')!r}. Of a sensor in the origin it is {_VIEWPOINT!r}."
         )
     *place, w, x, y, z = numbers

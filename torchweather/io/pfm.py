@@ -36,10 +36,10 @@ def read_pfm(source: Path) -> npt.NDArray[Any]:
         head = file.read(_HEADER_BYTES)
     if head[:2] != b"Pf":
         got = "three channels (PF)" if head[:2] == b"PF" else "no PFM header"
-        raise TorchweatherError(f"{source}: wanted a grey portable float map, which begins with Pf; got {got}.")
+        raise TorchweatherError(f"{source}: expected a grey portable float map, which begins with Pf; got {got}.")
     found = _HEADER.match(head)
     if found is None:
-        raise TorchweatherError(f"{source}: wanted width, height and scale in the header of a .pfm; got others.")
+        raise TorchweatherError(f"{source}: expected width, height and scale in the header of a .pfm; got others.")
     width, height = int(found[1]), int(found[2])
     try:
         scale = float(found[3])
@@ -47,7 +47,7 @@ def read_pfm(source: Path) -> npt.NDArray[Any]:
         scale = math.nan
     if min(width, height) < 1 or not math.isfinite(scale) or scale == 0:
         raise TorchweatherError(
-            f"{source}: wanted a size above 0 and a scale other than 0; got {width} x {height}, scale {scale:g}."
+            f"{source}: expected a size above 0 and a scale other than 0; got {width} x {height}, scale {scale:g}."
         )
     wanted, there = width * height * _VALUE_BYTES, source.stat().st_size
     if there - found.end() != wanted:

@@ -141,7 +141,7 @@ def _raw_header(file: Any, source: Path) -> bytes:
             size += len(lines[-1])
             if lines[-1].strip() == b"end_header":
                 return b"".join(lines)
-    raise TorchweatherError(f"{source}: wanted a PLY header, from a line ply to a line end_header; there is none.")
+    raise TorchweatherError(f"{source}: expected a PLY header, from a line ply to a line end_header; there is none.")
 
 
 def _parsed(raw: bytes, source: Path) -> _Header:
@@ -168,11 +168,11 @@ def _parsed(raw: bytes, source: Path) -> _Header:
                     raise InputValueError("no such line in PLY")
         except (KeyError, IndexError, ValueError) as error:
             raise TorchweatherError(
-                f"{source}: wanted lines format, element, property, comment in the PLY header; got {line.strip()!r} "
+                f"{source}: expected lines format, element, property, comment in the PLY header; got {line.strip()!r} "
                 f"({type(error).__name__}: {error})."
             ) from error
     if encoding not in PLY_ENCODINGS:
-        raise TorchweatherError(f"{source}: wanted format {', '.join(PLY_ENCODINGS)}; got {encoding!r}.")
+        raise TorchweatherError(f"{source}: expected format {', '.join(PLY_ENCODINGS)}; got {encoding!r}.")
     return _Header(encoding, tuple(elements))
 
 
@@ -187,13 +187,13 @@ def _ordered(type_name: str, encoding: str) -> str:
 def _vertex(header: _Header, source: Path) -> tuple[tuple[_Element, ...], _Element]:
     names = [element.name for element in header.elements]
     if "vertex" not in names:
-        raise TorchweatherError(f"{source}: wanted an element vertex; got {', '.join(names) or 'no element'}.")
+        raise TorchweatherError(f"{source}: expected an element vertex; got {', '.join(names) or 'no element'}.")
     index = names.index("vertex")
     vertex = header.elements[index]
     if not vertex.fields:
-        raise TorchweatherError(f"{source}: wanted vertices with single numbers; got lists or no property.")
+        raise TorchweatherError(f"{source}: expected vertices with single numbers; got lists or no property.")
     if min(element.count for element in header.elements[: index + 1]) < 0:
-        raise TorchweatherError(f"{source}: wanted counts of 0 or more in the PLY header; got a negative one.")
+        raise TorchweatherError(f"{source}: expected counts of 0 or more in the PLY header; got a negative one.")
     return header.elements[:index], vertex
 
 
@@ -219,7 +219,9 @@ def _skip(file: Any, element: _Element, source: Path) -> None:
                         break
                 file.seek(count * np.dtype(one.dtype).itemsize, os.SEEK_CUR)
     if file.tell() > end:
-        raise TorchweatherError(f"{source}: wanted {element.count} rows of {element.name}; the file ends within them.")
+        raise TorchweatherError(
+            f"{source}: expected {element.count} rows of {element.name}; the file ends within them."
+        )
 
 
 def _ascii(body: bytes, before: tuple[_Element, ...], vertex: _Element, raw: bytes, source: Path) -> tuple[Any, ...]:
@@ -253,11 +255,11 @@ def _numbers_of(words: list[str], vertex: _Element, source: Path, line: int) -> 
         length = words[place] if place < len(words) else ""
         if not length.isdecimal():
             raise TorchweatherError(
-                f"{source}: line {line}: wanted the length of the list {one.name!r}, 0 or more; got {length!r}."
+                f"{source}: line {line}: expected the length of the list {one.name!r}, 0 or more; got {length!r}."
             )
         place += 1 + int(length)
     if place != len(words):
-        raise TorchweatherError(f"{source}: line {line}: wanted {place} numbers in a vertex; got {len(words)}.")
+        raise TorchweatherError(f"{source}: line {line}: expected {place} numbers in a vertex; got {len(words)}.")
     return " ".join(kept)
 
 
@@ -280,13 +282,13 @@ def _without_lists(body: bytes, vertex: _Element, source: Path) -> bytes:
             elif place + length_dtype.itemsize <= len(body):
                 length = int(np.frombuffer(body, length_dtype, 1, place)[0])
                 if length < 0:
-                    raise TorchweatherError(f"{source}: wanted lists of 0 or more numbers in a vertex; got {length}.")
+                    raise TorchweatherError(f"{source}: expected lists of 0 or more numbers in a vertex; got {length}.")
                 place += length_dtype.itemsize + length * size
             else:
                 place = len(body) + 1
         if place > len(body):
             raise TorchweatherError(
-                f"{source}: wanted {vertex.count} vertices, the count in its header; the file ends within them."
+                f"{source}: expected {vertex.count} vertices, the count in its header; the file ends within them."
             )
     return b"".join(kept)
 

@@ -144,7 +144,7 @@ def cloud_from_stored(
         absent = [name for name in columns if name not in found]
         if absent:
             raise TorchweatherError(
-                f"{source}: wanted columns {', '.join(columns)}; got {', '.join(found)}. There is no "
+                f"{source}: expected columns {', '.join(columns)}; got {', '.join(found)}. There is no "
                 f"{', '.join(absent)}.{nearest_name(absent[0], found)}"
             )
         found = {name: found[name] for name in found if name in columns}
@@ -184,7 +184,7 @@ def flat_columns(stored: StoredPoints, source: Path) -> dict[str, npt.NDArray[An
             continue
         for index, name in enumerate(one.columns):
             if name in found:
-                raise TorchweatherError(f"{source}: wanted columns of different names; got {name!r} twice.")
+                raise TorchweatherError(f"{source}: expected columns of different names; got {name!r} twice.")
             found[name] = array if one.count == 1 else array[:, index]
     return found
 
@@ -194,7 +194,7 @@ def _leading(names: tuple[str, ...], intensity: str, unit: str | None, source: P
     lower = {name.lower(): name for name in reversed(names)}
     shown = ", ".join(names) or "none"
     if any(axis not in lower for axis in "xyz"):
-        raise TorchweatherError(f"{source}: wanted columns x, y, z in metres; got {shown}.")
+        raise TorchweatherError(f"{source}: expected columns x, y, z in metres; got {shown}.")
     position = tuple(lower[axis] for axis in "xyz")
     if intensity == "none":
         return position
@@ -202,7 +202,7 @@ def _leading(names: tuple[str, ...], intensity: str, unit: str | None, source: P
         known = [name for name in _OF_UNIT.get(unit or "", INTENSITY_NAMES) if name in lower]
         if not known:
             raise TorchweatherError(
-                f"{source}: wanted an intensity, a column named {', '.join(INTENSITY_NAMES)}; got {shown}. Name the "
+                f"{source}: expected an intensity, a column named {', '.join(INTENSITY_NAMES)}; got {shown}. Name the "
                 "column with intensity='...', or read without one (intensity='none')."
             )
         if unit is None and len(known) > 1:
@@ -216,7 +216,7 @@ def _leading(names: tuple[str, ...], intensity: str, unit: str | None, source: P
         return (*position, lower[known[0]])
     if intensity not in names or intensity in position:
         raise TorchweatherError(
-            f"{source}: wanted an intensity column {intensity!r}; got {shown}.{nearest_name(intensity, names)}"
+            f"{source}: expected an intensity column {intensity!r}; got {shown}.{nearest_name(intensity, names)}"
         )
     return (*position, intensity)
 
@@ -260,7 +260,7 @@ def _no_returns(
     if len(far):
         row, column = far[0]
         raise TorchweatherError(
-            f"{source}: wanted positions in metres; got {order[column]} = {table[row, column]} in point {row}. The "
+            f"{source}: expected positions in metres; got {order[column]} = {table[row, column]} in point {row}. The "
             "file is damaged, or has other columns or another byte order."
         )
     if bool(finite.all()):
@@ -270,7 +270,7 @@ def _no_returns(
     if bool(wrong.any()):
         row, column = (int(index[0]) for index in np.nonzero(wrong))
         raise TorchweatherError(
-            f"{source}: wanted finite numbers, or x, y and z all NaN or infinite for a beam without a return; got "
+            f"{source}: expected finite numbers, or x, y and z all NaN or infinite for a beam without a return; got "
             f"{order[column]} = {table[row, column]} in point {row}. Other columns or another byte order, perhaps?"
         )
     mark = f"{leading[lost][0, 0]:g}"

@@ -51,7 +51,7 @@ def read_float32_file(path: str | os.PathLike[str], format: str) -> StoredPoints
         hint = f" Rows of {others[0]} would fit (format={others[0]!r})." if others else ""
         hint = " ".join(part for part in (hint, likely_layout(content)) if part)
         raise TorchweatherError(
-            f"{source}: wanted rows of {columns} float32 numbers ({rows.meaning}), {4 * columns} bytes each; got "
+            f"{source}: expected rows of {columns} float32 numbers ({rows.meaning}), {4 * columns} bytes each; got "
             f"{content.size} bytes. The file is empty, truncated or has other columns.{hint}"
         )
     check_rows(content, columns, rows.meaning, source)
@@ -73,7 +73,7 @@ def read_rows_file(path: str | os.PathLike[str], fields: tuple[PointField, ...])
         stated = ", ".join(f"{one.name} {np.dtype(one.dtype).name}" for one in fields)
         hint = likely_layout(content)
         raise TorchweatherError(
-            f"{source}: wanted rows of {row.itemsize} bytes, as stated ({stated}); got {content.size} bytes. The "
+            f"{source}: expected rows of {row.itemsize} bytes, as stated ({stated}); got {content.size} bytes. The "
             f"file is empty, truncated or has other columns.{' ' + hint if hint else ''}"
         )
     return StoredPoints(PointLayout(ROWS, fields), unpacked(content.view(row), fields))

@@ -274,7 +274,7 @@ def _values(cloud: PointCloud, target: Path) -> npt.NDArray[Any]:
     values: npt.NDArray[Any] = points.numpy()
     positions = [k for k, name in enumerate(cloud.columns) if name.lower() in ("x", "y", "z")]
     if bool(np.isinf(values[:, positions]).any()):
-        raise TorchweatherError(f"{target}: wanted finite x, y and z in metres, or NaN for no return; got infinity.")
+        raise TorchweatherError(f"{target}: expected finite x, y and z in metres, or NaN for no return; got infinity.")
     lost = (values[:, positions] == 0).all(axis=1)
     if cloud.viewpoint and len(positions) == 3:
         order = sorted(positions, key=lambda k: cloud.columns[k].lower())
@@ -324,5 +324,5 @@ def _cast(values: npt.NDArray[Any], dtype: np.dtype[Any], one: PointField, targe
     with np.errstate(over="ignore"):
         cast = values.astype(dtype, copy=False)
     if one.name.lower() in ("x", "y", "z") and bool((np.isinf(cast) & np.isfinite(values)).any()):
-        raise TorchweatherError(f"{target}: wanted finite {one.name} in metres, or NaN for no return; got infinity.")
+        raise TorchweatherError(f"{target}: expected finite {one.name} in metres, or NaN for no return; got infinity.")
     return cast

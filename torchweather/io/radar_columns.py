@@ -67,8 +67,9 @@ class RadarColumns:
         positions = [group for group in POSITIONS if all(name in lower for name in group)]
         if not positions:
             raise TorchweatherError(
-                f"{source}: wanted a position, columns x_m, y_m, z_m (metres) or range_m, azimuth_rad or azimuth_deg, "
-                f"elevation_rad or elevation_deg; got {shown}. A radar without elevation has a column of zeros."
+                f"{source}: expected a position, columns x_m, y_m, z_m (metres) or range_m, azimuth_rad or "
+                f"azimuth_deg, elevation_rad or elevation_deg; got {shown}. A radar without elevation has a column of "
+                "zeros."
             )
         x, y, z = (lower[name] for name in positions[0])
         velocities: tuple[tuple[str, str], ...] = ()
@@ -80,7 +81,7 @@ class RadarColumns:
             pairs = {key: (lower[a], lower[b]) for key, (a, b) in SPEEDS.items() if a in lower and b in lower}
             if speed not in pairs:
                 raise TorchweatherError(
-                    f"{source}: wanted a speed, a column {SPEED} (radial, positive when receding) or "
+                    f"{source}: expected a speed, a column {SPEED} (radial, positive when receding) or "
                     f"{' and '.join(SPEEDS[speed])} (m/s, speed={speed!r}); got {shown}."
                 )
             speeds, velocities = pairs[speed], tuple(pairs.values())
@@ -89,7 +90,7 @@ class RadarColumns:
         )
         if power is None and rcs is None:
             raise TorchweatherError(
-                f"{source}: wanted a power (power_dbm, power_db) or a radar cross section (rcs_dbsm, rcs), of which "
+                f"{source}: expected a power (power_dbm, power_db) or a radar cross section (rcs_dbsm, rcs), of which "
                 f"one gives the other; got {shown}."
             )
         return cls((x, y, z), speeds, power, rcs, velocities)

@@ -191,7 +191,7 @@ def detections_from_stored(
 ) -> RadarPoints:
     """Detections from the content of a file; the arguments are those of `read_radar`."""
     if stored.grid is not None:
-        raise TorchweatherError(f"{source}: wanted a list of detections (N,); got a grid {stored.grid}.")
+        raise TorchweatherError(f"{source}: expected a list of detections (N,); got a grid {stored.grid}.")
     if stored.layout.viewpoint is not None:
         shown = " ".join(f"{number:g}" for number in stored.layout.viewpoint)
         warnings.warn(
@@ -202,7 +202,9 @@ def detections_from_stored(
         )
     found = flat_columns(stored, source)
     if stored.layout.format == "csv" and not stored.layout.header:
-        raise TorchweatherError(f"{source}: wanted a line of names, such as {','.join(RADAR_COLUMNS)}; there is none.")
+        raise TorchweatherError(
+            f"{source}: expected a line of names, such as {','.join(RADAR_COLUMNS)}; there is none."
+        )
     names = RadarColumns.among(tuple(found), speed, source)
     dtype = exact_dtype(found, None, source)
     if keep is not None:
@@ -313,7 +315,7 @@ def _kept(
     for name, values in keep.items():
         if name not in found:
             raise TorchweatherError(
-                f"{source}: wanted a column {name!r} to keep rows by; got {', '.join(found)}."
+                f"{source}: expected a column {name!r} to keep rows by; got {', '.join(found)}."
                 f"{nearest_name(name, found)}"
             )
         kept &= np.isin(found[name], list(values))
@@ -326,7 +328,7 @@ def _detections(
     """``(N, 6)`` numbers of the detections, and ``(N,)`` which rows are none."""
     if names.spherical and bool((wide[names.position[0]] < 0).any()):
         worst = float(np.nanmin(wide[names.position[0]]))
-        raise TorchweatherError(f"{source}: wanted {names.position[0]} of 0 m or more; got {worst:g} m.")
+        raise TorchweatherError(f"{source}: expected {names.position[0]} of 0 m or more; got {worst:g} m.")
     position = names.position_m(wide)
     speed = names.speed_m_per_s(wide, position)
     power, rcs = (None if name is None else wide[name] for name in (names.power, names.rcs))
@@ -358,8 +360,8 @@ def _by_radar_equation(
     """The power that a cross section gives, or the reverse; 0 where there is no detection."""
     if radar is None:
         raise TorchweatherError(
-            f"{source}: wanted {wanted}; the file has none. The radar equation gives it with the radar's link budget: "
-            "read_radar(path, radar=Radar(...))."
+            f"{source}: expected {wanted}; the file has none. The radar equation gives it with the radar's link "
+            "budget: read_radar(path, radar=Radar(...))."
         )
     values = np.zeros_like(known)
     here = np.flatnonzero(~lost & np.isfinite(known) & np.isfinite(position_m).all(axis=1))
@@ -385,7 +387,7 @@ def _check_numbers(six: npt.NDArray[np.floating], lost: npt.NDArray[np.bool_], s
     if bool(wrong.any()):
         row, column = (int(index[0]) for index in np.nonzero(wrong))
         raise TorchweatherError(
-            f"{source}: wanted finite numbers, or NaN in the whole position or the power for no detection; got "
+            f"{source}: expected finite numbers, or NaN in the whole position or the power for no detection; got "
             f"{RADAR_COLUMNS[column]} = {six[row, column]} in row {row}. Is the file damaged?"
         )
 

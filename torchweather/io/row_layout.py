@@ -138,7 +138,7 @@ def check_rows(content: Bytes, columns: int, meaning: str, source: Path) -> None
         else "State its columns with bin_columns='x,y,z,...' (command line: --bin-columns)."
     )
     raise TorchweatherError(
-        f"{source}: wanted rows of {columns} float32 numbers ({meaning}); got other content: {evidence}. {advice} If "
+        f"{source}: expected rows of {columns} float32 numbers ({meaning}); got other content: {evidence}. {advice} If "
         f"it is as wanted all the same, state bin_columns={plain!r}."
     )
 

@@ -21,7 +21,7 @@ __all__ = ["read_sensor_pose"]
 
 _MAX_BYTES = 2**20  # a pose has some 200
 _MATRIX = "T_cloud_from_sensor, or translation and rotation (quaternion w, x, y, z) as in nuScenes"
-_WANTED = f"wanted {_MATRIX}: 4 x 4 or its first three rows as .npy, .txt (12 or 16 numbers), .json or .yaml"
+_WANTED = f"expected {_MATRIX}: 4 x 4 or its first three rows as .npy, .txt (12 or 16 numbers), .json or .yaml"
 # Keys under which tools keep such a matrix; the last is Waymo's.
 _KEYS = ("T_cloud_from_sensor", "T_vehicle_from_lidar", "T_vehicle_from_sensor", "transform", "extrinsic")
 

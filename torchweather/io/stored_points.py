@@ -146,6 +146,6 @@ def check_rows_fit(source: Path, rows: int, row_bytes: int, available_bytes: int
     """Refuse a header that promises more than the file holds, before any memory is taken for it."""
     if rows * row_bytes > available_bytes:
         raise TorchweatherError(
-            f"{source}: wanted {rows} {what} of at least {row_bytes} bytes, those of its header; got {available_bytes} "
-            "bytes of data. The file is truncated or its header is wrong."
+            f"{source}: expected {rows} {what} of at least {row_bytes} bytes, those of its header; got "
+            f"{available_bytes} bytes of data. The file is truncated or its header is wrong."
         )

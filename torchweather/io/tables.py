@@ -117,7 +117,7 @@ def _suffix(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in TABLE_SUFFIXES:
         hint = nearest_name(suffix, TABLE_SUFFIXES)
-        raise TorchweatherError(f"{path}: wanted a table as {' or '.join(TABLE_SUFFIXES)}; got {suffix!r}.{hint}")
+        raise TorchweatherError(f"{path}: expected a table as {' or '.join(TABLE_SUFFIXES)}; got {suffix!r}.{hint}")
     return suffix
 
 
@@ -133,16 +133,16 @@ def _read_csv(source: Path) -> Columns:
         raise TorchweatherError(f"{source}: no such file.") from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise TorchweatherError(
-            f"{source}: wanted text in UTF-8 with commas between cells; it cannot be read ({error})."
+            f"{source}: expected text in UTF-8 with commas between cells; it cannot be read ({error})."
         ) from error
     if not rows:
-        raise TorchweatherError(f"{source}: wanted a line of column names and lines of values; the file is empty.")
+        raise TorchweatherError(f"{source}: expected a line of column names and lines of values; the file is empty.")
     names = [_without_mark(name.strip()) for name in rows[0][1]]
     _check_names(names, str(source))
     for line, row in rows[1:]:
         if len(row) != len(names):
             raise TorchweatherError(
-                f"{source}: line {line}: wanted {len(names)} cells ({', '.join(names)}); got {len(row)}."
+                f"{source}: line {line}: expected {len(names)} cells ({', '.join(names)}); got {len(row)}."
             )
     cells = zip(*(row for _, row in rows[1:]), strict=True) if len(rows) > 1 else ((),) * len(names)
     return {name: _typed([cell.strip() for cell in column]) for name, column in zip(names, cells, strict=True)}
@@ -181,7 +181,7 @@ def _read_parquet(source: Path) -> Columns:
     except FileNotFoundError as error:
         raise TorchweatherError(f"{source}: no such file.") from error
     except (OSError, pyarrow.ArrowException) as error:
-        raise TorchweatherError(f"{source}: wanted a Parquet file; it cannot be read ({error}).") from error
+        raise TorchweatherError(f"{source}: expected a Parquet file; it cannot be read ({error}).") from error
     _check_names(table.column_names, str(source))
     return {name: table.column(name).to_pylist() for name in table.column_names}
 
@@ -233,4 +233,4 @@ def _check_names(names: Sequence[str], where: str) -> None:
     if twice:
         raise TorchweatherError(f"{where}: every column needs a name of its own; {', '.join(twice)} stands twice.")
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
-        raise TorchweatherError(f"{where}: wanted commas between cells; got one column {names[0]!r}.")
+        raise TorchweatherError(f"{where}: expected commas between cells; got one column {names[0]!r}.")

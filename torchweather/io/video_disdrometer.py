@@ -27,19 +27,19 @@ def read_video_netcdf(source: Path, duration_s: float, fall_speed_tolerance: flo
             missing = [name for name in wanted if name not in file.variables]
             if missing:
                 raise TorchweatherError(
-                    f"{source}: wanted the drops of a 2D video disdrometer; {', '.join(missing)} missing."
+                    f"{source}: expected the drops of a 2D video disdrometer; {', '.join(missing)} missing."
                 )
             diameter, speed, area, offset, base = (
                 torch.from_numpy(np.array(file.variables[name].data, dtype=np.float64)) for name in wanted
             )
     except (OSError, TypeError, ValueError, IndexError, KeyError) as error:
-        raise TorchweatherError(f"{source}: wanted NetCDF-3; it is truncated or damaged ({error}).") from error
+        raise TorchweatherError(f"{source}: expected NetCDF-3; it is truncated or damaged ({error}).") from error
     shapes = {tuple(one.shape) for one in (diameter, speed, area, offset)}
     if len(shapes) != 1 or diameter.ndim != 1 or base.numel() != 1:
-        raise TorchweatherError(f"{source}: wanted a number for each drop; got shapes {sorted(shapes)}.")
+        raise TorchweatherError(f"{source}: expected a number for each drop; got shapes {sorted(shapes)}.")
     good = (diameter > 0) & (speed > 0) & (area > 0)  # missing values are negative in these files
     if not bool(good.any()):
-        raise TorchweatherError(f"{source}: wanted drops of a 2D video disdrometer; the file holds none.")
+        raise TorchweatherError(f"{source}: expected drops of a 2D video disdrometer; the file holds none.")
     return spectrum_from_drops(
         diameter[good],
         speed[good],

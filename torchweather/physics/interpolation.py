@@ -74,7 +74,7 @@ class InterpolationTable(AtLeastSingle):
         check_between("n", n, 2, 1 << 20, owner=self)
         if not (high > low and math.isfinite(high)) or n < 2:
             raise InputValueError(
-                f"InterpolationTable: wanted low < high < inf and 2 nodes or more; got {low!r}, {high!r}, n={n!r}."
+                f"InterpolationTable: expected low < high < inf and 2 nodes or more; got {low!r}, {high!r}, n={n!r}."
             )
         self.low, self.high, self.n, self.log_values = float(low), float(high), int(n), log_values
         self.zero_at_zero, self.zero_at_inf = zero_at_zero, zero_at_inf

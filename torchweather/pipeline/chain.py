@@ -144,7 +144,7 @@ class Chain(AtLeastSingle):
             name, kind = arguments.pop("name", None), arguments.pop("stage", None)
             if not isinstance(name, str) or not name or "." in name or name in stages:
                 raise TorchweatherError(
-                    f"{owner}: stages[{number}]: wanted a name of its own for each stage; got {name!r}."
+                    f"{owner}: stages[{number}]: expected a name of its own for each stage; got {name!r}."
                 )
             load_stage(kind)
             check_value(kind, one_of(STAGES), owner, f"stages[{number}].stage")
@@ -173,7 +173,7 @@ class Chain(AtLeastSingle):
                 text, arrays = (_part(archive, name, path) for name in ("chain.yaml", "state.npz"))
             state = {key: torch.from_numpy(value) for key, value in read_archive(path, io.BytesIO(arrays))[0].items()}
         except BROKEN_ARCHIVE as error:
-            raise TorchweatherError(f"{path}: wanted a chain written by Chain.save; {error}.") from error
+            raise TorchweatherError(f"{path}: expected a chain written by Chain.save; {error}.") from error
         values = parse_yaml(text, str(path), "a chain written by Chain.save")
         chain = cls.from_dict(values, owner=str(path))
         try:

@@ -219,7 +219,7 @@ class Effect(Stage):
         missing = [name for name in self.needs if state.field(name) is None]
         if missing:
             raise InputValueError(
-                f"{type(self).__name__}: wanted a state with {', '.join(missing)}; this one has none. "
+                f"{type(self).__name__}: expected a state with {', '.join(missing)}; this one has none. "
                 f"{self.id} cannot be simulated without."
             )
         changes = self.changes(state, noise)
@@ -299,7 +299,7 @@ def effect_from_dict(values: Mapping[str, Any]) -> Effect:
     """
     check_arguments("effect_from_dict(values: Mapping)", values)
     if not isinstance(values, Mapping):
-        raise InputTypeError(f"effect_from_dict: wanted a dictionary with effect and its parameters; got {values!r}.")
+        raise InputTypeError(f"effect_from_dict: expected a dictionary with effect and its parameters; got {values!r}.")
     load_catalogue()
     arguments = dict(values)
     name = arguments.pop("effect", None)

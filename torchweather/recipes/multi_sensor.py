@@ -111,7 +111,7 @@ def first_weather(choice: Choice) -> Weather:
         if one is not None:
             found: Weather = one
             return found
-    raise InputValueError("wanted at least one weather that is not null (clear air).")
+    raise InputValueError("expected at least one weather that is not null (clear air).")
 
 
 def _choice(values: Mapping[str, Any]) -> Choice:
@@ -119,7 +119,7 @@ def _choice(values: Mapping[str, Any]) -> Choice:
         return Choice([weather_from_dict(values)])
     refused = [key for key in values if key not in ("choice", "weights")]
     if refused or not isinstance(values["choice"], list):
-        raise InputValueError(f"wanted choice, a list of weathers, and weights; got {', '.join(map(str, values))}.")
+        raise InputValueError(f"expected choice, a list of weathers, and weights; got {', '.join(map(str, values))}.")
     return Choice([one if one is None else weather_from_dict(one) for one in values["choice"]], values.get("weights"))
 
 

@@ -101,7 +101,7 @@ def with_more_effects(transform: T, effects: Sequence[Effect]) -> T:
     kind = sensor_of(transform).kind
     strange = [effect.id for effect in effects if effect.id.partition(".")[0] != kind]
     if strange:
-        raise InputValueError(f"with_more_effects: wanted effects of a {kind}; got {', '.join(strange)}.")
+        raise InputValueError(f"with_more_effects: expected effects of a {kind}; got {', '.join(strange)}.")
     try:
         spec = spec_of(transform)
     except ValueError as error:

@@ -198,7 +198,7 @@ def user_frames(paths: Sequence[Path], depth: object, camera: Camera | None) -> 
     depths = list(depth) if isinstance(depth, (list, tuple)) else [depth] * len(paths)
     if len(depths) != len(paths):
         raise InputValueError(
-            f"write_demo: wanted one depth, or one for each of the {len(paths)} images; got {len(depths)}."
+            f"write_demo: expected one depth, or one for each of the {len(paths)} images; got {len(depths)}."
         )
     return [
         user_frame(Path(path), f"frame-{number}", one, camera)

@@ -163,7 +163,7 @@ def _depth_of_photo(camera: Camera, image: Tensor) -> SceneDepth:
 def _prepared(photo: Photo) -> tuple[Tensor, Camera, SceneDepth]:
     """The photograph in 8 bits and in the page's size, with its camera and depth."""
     if photo.rgb.ndim != 3 or photo.rgb.shape[0] != 3:
-        raise InputValueError(f"{photo.path}: wanted one RGB photograph (3, H, W); got {tuple(photo.rgb.shape)}.")
+        raise InputValueError(f"{photo.path}: expected one RGB photograph (3, H, W); got {tuple(photo.rgb.shape)}.")
     whole = photo.rgb if photo.rgb.dtype == torch.uint8 else quantise(normalise(photo.rgb), torch.uint8)
     height, width = whole.shape[-2:]
     small = size_within(height, width, LONGEST_PX)

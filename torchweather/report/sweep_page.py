@@ -66,7 +66,7 @@ def write_sweep(
     check_one_of("table", table, TABLES, owner="write_sweep")
     kinds = {subject.sensor for subject in subjects}
     if len(kinds) > 1:
-        raise InputValueError(f"write_sweep: wanted subjects of one sensor; got {', '.join(sorted(kinds))}.")
+        raise InputValueError(f"write_sweep: expected subjects of one sensor; got {', '.join(sorted(kinds))}.")
     started = time.perf_counter()
     total = sum(len(fits) for _, fits in plan(subjects, levels)) * len(seeds)
     with atomic_folder(Path(out_dir)) as staging:

@@ -78,9 +78,9 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
 every_effect = pytest.mark.parametrize("name", CAMERA_EFFECTS)
 # Normals are no input of a graph, and its footprints have no room for longer streaks.
 NOT_IN_A_GRAPH = {
-    "camera.wet_surface": "wanted a state with normal",
+    "camera.wet_surface": "expected a state with normal",
     "camera.rolling_shutter": "leave it out",
-    "camera.snow_cover": "wanted a state with normal",
+    "camera.snow_cover": "expected a state with normal",
     "camera.refracting_drops": "no graph can hold it",
 }
 
@@ -630,7 +630,7 @@ def test_a_wet_road_is_darker_and_mirrors_the_picture_above_the_horizon() -> Non
 
 
 def test_a_wet_road_needs_normals() -> None:
-    with pytest.raises(ValueError, match="CameraWetSurface: wanted a state with normal; this one has none"):
+    with pytest.raises(ValueError, match="CameraWetSurface: expected a state with normal; this one has none"):
         rain_in_fog(effects=[active("camera.wet_surface")])(frame(), depth())
     with pytest.raises(ValueError, match=r"normal must be a tensor \(..., 3, 32, 48\)"):
         rain_in_fog(effects=[active("camera.wet_surface")])(frame(), depth(), normal=torch.zeros(1, H, W))

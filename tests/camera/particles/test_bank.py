@@ -309,7 +309,7 @@ def test_a_file_gives_the_bank_back(rain: DrawBank, tmp_path: Path) -> None:
     with pytest.raises(TorchweatherError, match="truncated"):
         DrawBank.load(tmp_path / "half.npz")
     np.savez(tmp_path / "other.npz", config=np.array("{}"))
-    with pytest.raises(TorchweatherError, match="wanted a bank"):
+    with pytest.raises(TorchweatherError, match="expected a bank"):
         DrawBank.load(tmp_path / "other.npz")
 
 

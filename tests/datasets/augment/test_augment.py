@@ -417,7 +417,7 @@ def test_a_manifest_that_is_none_and_a_folder_in_use_are_refused(tmp_path: Path)
     with Manifest(target), pytest.raises(TorchweatherError, match="another run is at work here"):
         run(source, target)
     (target / MANIFEST).write_text("no database, but long enough to look like one" * 50, encoding="utf-8")
-    with pytest.raises(TorchweatherError, match="wanted a manifest of torchweather"):
+    with pytest.raises(TorchweatherError, match="expected a manifest of torchweather"):
         run(source, target)
 
 

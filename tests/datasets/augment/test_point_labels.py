@@ -67,7 +67,7 @@ def test_labels_of_another_number_of_points_break_the_frame(tmp_path: Path) -> N
     seg.parent.mkdir(parents=True)
     seg.write_bytes(bytes(299))
     summary = augment(source, tmp_path / "out", recipe(tmp_path, THICK), workers=0)
-    assert "wanted 300 labels of 1 byte (class); got 299 bytes" in summary.broken["sample/s"]
+    assert "expected 300 labels of 1 byte (class); got 299 bytes" in summary.broken["sample/s"]
 
 
 def test_instances_of_particles_go_and_the_class_is_in_the_manifest(tmp_path: Path) -> None:
@@ -117,5 +117,5 @@ def test_labels_that_a_format_cannot_hold_are_refused(tmp_path: Path) -> None:
     with pytest.raises(Exception, match="holds a value of instance of at most 0; got 7"):
         write_labels(tmp_path / "a_lidarseg.bin", PointLabels(torch.tensor([3]), torch.tensor([7])))
     np.savez(tmp_path / "b_panoptic.npz", other=np.zeros(3))
-    with pytest.raises(Exception, match="wanted 3 whole numbers in data"):
+    with pytest.raises(Exception, match="expected 3 whole numbers in data"):
         read_labels(tmp_path / "b_panoptic.npz", 3)

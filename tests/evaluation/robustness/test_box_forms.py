@@ -138,7 +138,7 @@ def test_distributions_of_levels_are_means_times_the_stride(tmp_path: Path) -> N
     assert found["labels"] == ["car", "person"]
     for label, box in zip(found["labels"], found["boxes"], strict=True):
         assert box == pytest.approx(IN_FRAME[label], abs=1e-3)
-    with pytest.raises(TorchweatherError, match=r"wanted 8 x 8 places of stride 8 .* got scores \(16, 2\)"):
+    with pytest.raises(TorchweatherError, match=r"expected 8 x 8 places of stride 8 .* got scores \(16, 2\)"):
         decode_boxes({"scores": scores[::-1], "boxes": sides[::-1]}, declared, LETTERBOX)
 
 

@@ -84,11 +84,11 @@ def test_what_is_wrong_in_a_declaration_is_named_with_the_file(what: str, tmp_pa
 
 
 MISMATCH: dict[str, tuple[dict[str, Any], str]] = {
-    "input name": ({"input": {"name": "imgae"}}, r"says input 'imgae'.*takes image float32 \(1, 3, H, W\).*'image'"),
-    "layout": ({"input": {"name": "image", "layout": "NHWC"}}, r"says image float32 \(1, H, W, 3\);.*\(1, 3, H, W\)"),
-    "type": ({"input": {"name": "image", "dtype": "uint8"}}, r"says image uint8 \(1, 3, H, W\); .*takes image float32"),
-    "colour": ({"input": {"name": "image", "colour": "bayer"}}, r"says image float32 \(1, 1, H, W\)"),
-    "output": ({"outputs": {"boxes": "bokses", "scores": "scores"}}, r"says output 'bokses' for boxes.*gives boxes"),
+    "input name": ({"input": {"name": "imgae"}}, r"names input 'imgae'.*takes image float32 \(1, 3, H, W\).*'image'"),
+    "layout": ({"input": {"name": "image", "layout": "NHWC"}}, r"states image float32 \(1, H, W, 3\);.*\(1, 3, H, W\)"),
+    "type": ({"input": {"name": "image", "dtype": "uint8"}}, r"states image uint8 \(1, 3, H, W\); .*takes image float32"),
+    "colour": ({"input": {"name": "image", "colour": "bayer"}}, r"states image float32 \(1, 1, H, W\)"),
+    "output": ({"outputs": {"boxes": "bokses", "scores": "scores"}}, r"names output 'bokses' for boxes.*gives boxes"),
 }
 
 
@@ -106,7 +106,7 @@ def test_a_model_that_is_none_or_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(TorchweatherError, match="no such file"):
         OnnxDetector(tmp_path / "none.onnx", declaration)
     (tmp_path / "broken.onnx").write_bytes(b"nothing")
-    with pytest.raises(TorchweatherError, match="wanted an ONNX graph"):
+    with pytest.raises(TorchweatherError, match="expected an ONNX graph"):
         OnnxDetector(tmp_path / "broken.onnx", declaration)
 
 

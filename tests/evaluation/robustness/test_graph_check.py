@@ -122,7 +122,7 @@ BAD: dict[str, tuple[dict[str, Shape], str, dict[str, Any], dict[str, Any], str]
         "yolov8",
         {"packed": "o"},
         {"input": {"name": "images", "size": [64, 96]}},
-        r"says images float32 \(1, 3, 64, 96\); .* Set input.size: \[64, 64\]",
+        r"states images float32 \(1, 3, 64, 96\); .* Set input.size: \[64, 64\]",
     ),
     "layout": (
         {"o": [1, 6, 84]},

@@ -113,7 +113,7 @@ def test_a_truth_that_is_none_is_named(tmp_path: Path) -> None:
     with pytest.raises(TorchweatherError, match=r"no category of the detector; it has car, tree, the detector cat"):
         read_boxes_truth(coco(tmp_path), {0: "cat"})
     (tmp_path / "list.json").write_text("[]")
-    with pytest.raises(TorchweatherError, match=r"wanted ground truth as COCO's JSON"):
+    with pytest.raises(TorchweatherError, match=r"expected ground truth as COCO's JSON"):
         read_boxes_truth(tmp_path / "list.json", CLASSES)
     broken = json.loads(coco(tmp_path).read_text())
     broken["annotations"][0]["bbox"] = [0, 0, -1, 1]
@@ -125,11 +125,11 @@ def test_a_truth_that_is_none_is_named(tmp_path: Path) -> None:
 def test_labels_are_read_from_images_and_label_files(tmp_path: Path) -> None:
     write_image(tmp_path / "a.png", torch.tensor([[[0, 1], [1, 255]]], dtype=torch.uint8))
     assert read_label_truth(tmp_path, "a", "camera", (2, 2)).classes.tolist() == [[0, 1], [1, 255]]
-    with pytest.raises(TorchweatherError, match=r"a\.png: wanted one class a pixel, 2 x 3"):
+    with pytest.raises(TorchweatherError, match=r"a\.png: expected one class a pixel, 2 x 3"):
         read_label_truth(tmp_path, "a", "camera", (2, 3))
     write_labels(tmp_path / "c.label", PointLabels(torch.tensor([0, 1]), torch.tensor([0, 5])))
     assert read_label_truth(tmp_path, "c", "lidar", (2,)).classes.tolist() == [0, 1]
-    with pytest.raises(TorchweatherError, match=r"no ground truth for b; wanted b with \.label"):
+    with pytest.raises(TorchweatherError, match=r"no ground truth for b; expected b with \.label"):
         read_label_truth(tmp_path, "b", "lidar", (2,))
 
 

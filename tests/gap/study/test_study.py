@@ -278,7 +278,7 @@ def test_wrong_arrays_are_refused_with_name_unit_and_advice(
 
 
 BAD_VALUES = [
-    (("conditions", 0, "weather"), ..., r"conditions\[0\].weather is missing: wanted kind rain"),
+    (("conditions", 0, "weather"), ..., r"conditions\[0\].weather is missing: expected kind rain"),
     (
         ("conditions", 0, "weather"),
         {"kind": "hail"},
@@ -296,7 +296,7 @@ BAD_VALUES = [
     (("conditions", 0, "scene"), "s7", r"conditions\[0\].scene must be one of s0, s1; got 's7'"),
     (("conditions", 0, "frames"), [], r"conditions\[0\].frames must hold at least one frame"),
     (("conditions", 0, "frames"), "c0.npz", r"conditions\[0\].frames must be a list of frames"),
-    (("conditions", 0, "frames"), [np.zeros(3)], r"frames\[0\]: wanted arrays by name \(range_m, intensity\)"),
+    (("conditions", 0, "frames"), [np.zeros(3)], r"frames\[0\]: expected arrays by name \(range_m, intensity\)"),
     (("conditions", 0, "time_s"), [0.0], r"time_s must have one value in seconds for each of the 2 frames; got 1"),
     (("conditions", 0, "time_s"), [0.0, math.nan], r"time_s\[1\] must lie in -inf..inf s; got nan"),
     (("conditions", 0, "time_s"), [0.2, 0.1], r"time_s must not fall from frame to frame, s; got 0.1 at 1 after 0.2"),

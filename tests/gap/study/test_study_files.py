@@ -185,11 +185,11 @@ def test_frames_are_read_when_asked_for_and_not_kept(folder: Path) -> None:
 
 def test_a_folder_that_holds_something_is_not_written_to(folder: Path, tmp_path: Path) -> None:
     before = sorted(folder.rglob("*"))
-    with pytest.raises(TorchweatherError, match="wanted a new or an empty folder"):
+    with pytest.raises(TorchweatherError, match="expected a new or an empty folder"):
         study("lidar", clear=2, frames=2).write(folder)
     assert sorted(folder.rglob("*")) == before
     (tmp_path / "file").write_text("")
-    with pytest.raises(TorchweatherError, match="wanted a folder to write to; got a file"):
+    with pytest.raises(TorchweatherError, match="expected a folder to write to; got a file"):
         study("lidar", clear=2, frames=2).write(tmp_path / "file")
 
 
@@ -339,7 +339,7 @@ def test_a_file_that_is_no_archive_is_refused_by_name(folder: Path) -> None:
     whole = path.read_bytes()
     for content in (b"", b"no zip", whole[: len(whole) // 2], npy(np.ones(3))):
         path.write_bytes(content)
-        refused(folder, r"condition-00-000\.npz: wanted arrays as numpy.savez writes them")
+        refused(folder, r"condition-00-000\.npz: expected arrays as numpy.savez writes them")
 
 
 # ---- YAML ------------------------------------------------------------------------------------------------------------

@@ -284,7 +284,7 @@ def test_wrong_calls_are_refused(tmp_path: Path) -> None:
     raw: dict[Any, Any] = {tmp_path / "raw": "fog:mor=50"}
     cases: list[tuple[Any, str]] = [
         (lambda: study_from_folders(tmp_path / "none", fog, LIDAR), "none: no such folder. Wanted frames ending"),
-        (lambda: study_from_folders(tmp_path / "empty", fog, LIDAR), "empty: no frames; wanted files ending"),
+        (lambda: study_from_folders(tmp_path / "empty", fog, LIDAR), "empty: no frames; expected files ending"),
         (lambda: study_from_folders(tmp_path / "clear", {}, LIDAR), "conditions must hold at least one"),
         (lambda: study_from_folders(tmp_path / "clear", fog, "radar"), "sensor must be a Lidar or a Camera; got Radar"),
         (lambda: study_from_folders(tmp_path / "clear", fog, LIDAR, depth=3.0), "depth belongs to a camera"),

@@ -240,7 +240,7 @@ def test_parameters_out_of_bounds_and_unknown_ones_are_refused_with_their_unit(n
 def test_a_state_without_what_an_effect_needs_is_refused(transform: LidarWeather) -> None:
     state = begin(transform).changed(grid=None)
     chain = with_effects(transform.chain, [active("lidar.ring_gain")])
-    with pytest.raises(ValueError, match="LidarRingGain: wanted a state with grid; this one has none"):
+    with pytest.raises(ValueError, match="LidarRingGain: expected a state with grid; this one has none"):
         chain(state, chain.draw(state, seed=1))
 
 
@@ -581,7 +581,7 @@ def test_effects_that_know_the_scans_rows_refuse_what_the_exporter_traces(name: 
     """The module and the arguments that `to_onnx` hands over, run once, as the exporter does."""
     transform = LidarRain(Rain(50.0), scan_sensor(), effects=[active(name)])
     traced = traceable_lidar(transform, points=100, columns=4, directions=True)
-    with pytest.raises(ValueError, match="wanted a state with grid"):
+    with pytest.raises(ValueError, match="expected a state with grid"):
         traced.module(*traced.arguments)
 
 
@@ -589,7 +589,7 @@ def test_effects_that_know_the_scans_rows_refuse_what_the_exporter_traces(name: 
 def test_an_effect_that_cannot_be_exported_says_so_and_nothing_is_written(tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     transform = LidarRain(Rain(50.0), scan_sensor(), effects=[active(sorted(NOT_IN_A_GRAPH)[0])])
-    with pytest.raises(Exception, match="wanted a state with grid"):
+    with pytest.raises(Exception, match="expected a state with grid"):
         to_onnx(transform, tmp_path / "rain.onnx", points=100, directions=True)
     assert not list(tmp_path.iterdir())
 

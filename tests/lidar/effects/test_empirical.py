@@ -236,7 +236,7 @@ def test_each_axis_is_the_quantity_of_its_name(axis: str) -> None:
 @pytest.mark.parametrize("axis", ["cos_incidence", "up"])
 def test_a_state_without_the_axis_is_refused(axis: str) -> None:
     one = Empirical("intensity", axis, [0.0], [0.1], -1.0, 1.0)
-    with pytest.raises(ValueError, match=f"Empirical: wanted a state with {axis}, over which the curve was measured"):
+    with pytest.raises(ValueError, match=f"Empirical: expected a state with {axis}, over which the curve was measured"):
         one(detected().changed(cos_incidence=None, up=None), {})
 
 
@@ -298,7 +298,7 @@ def test_the_curve_can_be_fitted() -> None:
         ({"kind": "loudness"}, "kind must be one of intensity, "),
         ({"axis": "height_m"}, "axis must be one of range_m, "),
         ({"of": "empty"}, "of must be one of object, particle; got 'empty'"),
-        ({"axis": "particle_range_m"}, "wanted of='particle'"),
+        ({"axis": "particle_range_m"}, "expected of='particle'"),
         ({"at": [30.0, 10.0]}, "at must be finite and rise"),
         ({"at": [1.0, 10.0]}, "at must be finite and rise, within measured_from"),
         ({"at": [10.0, math.inf]}, "at must be finite and rise"),

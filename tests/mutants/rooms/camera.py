@@ -143,8 +143,8 @@ MUTANTS = (
         "flakes_in_lamplight_without_their_depth",
         "each particle shows the illuminance at its own depth",
         "torchweather.camera.particles.population",
-        "place = (sample, marks.u_px, marks.v_px, marks.depth_m, (size[0], size[1]))",
-        "place = (sample, marks.u_px, marks.v_px, marks.depth_m * 2.0, (size[0], size[1]))",
+        "at_points(values, sample, u_px, v_px, depth_m, (size[0], size[1]))",
+        "at_points(values, sample, u_px, v_px, depth_m * 2.0, (size[0], size[1]))",
         ("tests/camera/night/test_night.py::test_the_mean_light_of_flakes_is_that_of_each_slice_of_air",),
     ),
     Mutant(

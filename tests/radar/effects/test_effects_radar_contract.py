@@ -169,7 +169,7 @@ def test_parameters_out_of_bounds_and_unknown_ones_are_refused_with_their_unit(n
 @pytest.mark.parametrize(("name", "missing"), [("wet_rcs", "target_class"), ("range_migration", "frame_number")])
 def test_a_list_without_what_an_effect_needs_is_refused(name: str, missing: str) -> None:
     transform = rain(effects=[active(f"radar.{name}")])
-    with pytest.raises(ValueError, match=f"wanted a state with {missing}; this one has none"):
+    with pytest.raises(ValueError, match=f"expected a state with {missing}; this one has none"):
         transform(detections())
     assert transform(detections(), **known()).shape == detections().shape
 
@@ -498,7 +498,7 @@ def test_a_graph_lists_the_noise_of_a_lower_threshold(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(NOT_IN_A_GRAPH))
 def test_what_a_graph_cannot_hold_is_refused_and_nothing_is_written(name: str, tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
-    with pytest.raises(Exception, match=r"wanted a state with|no graph can hold it"):
+    with pytest.raises(Exception, match=r"expected a state with|no graph can hold it"):
         to_onnx(rain(effects=[active(name)]), tmp_path / "rain.onnx", points=23, columns=7)
     assert not list(tmp_path.iterdir())
 

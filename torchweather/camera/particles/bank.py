@@ -474,11 +474,11 @@ class DrawBank:
                 wanted = (STORMS, bank.layers * bank.size[0] * bank.size[1])
                 layers = (2, STORMS, bank.layers, len(AMPLITUDES))
                 if codes.dtype != torch.uint8 or tuple(codes.shape) != wanted or tuple(covered.shape) != layers:
-                    raise InputValueError(f"{name} has shape {tuple(codes.shape)}, wanted {wanted}")
+                    raise InputValueError(f"{name} has shape {tuple(codes.shape)}, expected {wanted}")
                 bank._keep(node, codes, covered)
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise TorchweatherError(
-                f"{os.fspath(path)}: wanted a bank of {FORMAT} as DrawBank.save writes it; it cannot be read "
+                f"{os.fspath(path)}: expected a bank of {FORMAT} as DrawBank.save writes it; it cannot be read "
                 f"({error}). Build and save it again."
             ) from error
         return bank

@@ -51,7 +51,7 @@ class Adapter:
         for key in (*self.clouds, *self.images, *self.depths):
             if key not in sample:
                 raise InputValueError(
-                    f"{owner_name(self)}: wanted the key {key!r}; the sample has {', '.join(map(str, sample))}."
+                    f"{owner_name(self)}: expected the key {key!r}; the sample has {', '.join(map(str, sample))}."
                     f"{nearest_name(key, map(str, sample))} Say which keys hold data with clouds=, images= and depths=."
                 )
 
@@ -96,7 +96,7 @@ def image_tensor(value: object, *, bgr: bool = False, float_white: float = 1.0) 
     array = np.asarray(value)
     if array.dtype.kind not in "uf" or array.ndim not in (2, 3):
         raise InputTypeError(
-            "image: wanted (H, W) or (H, W, C) of uint8, uint16 or float, or a picture; got "
+            "image: expected (H, W) or (H, W, C) of uint8, uint16 or float, or a picture; got "
             f"{type(value).__name__} {array.dtype} {array.shape}. Views of several cameras go under keys of their own."
         )
     array = array[..., None] if array.ndim == 2 else array

@@ -59,7 +59,7 @@ class CameraFile(FrameFile):
         if info.note:
             warnings.warn(info.note, TorchweatherWarning, stacklevel=2)
         if self.data.ndim != 3:
-            raise InputValueError(f"{path}: wanted one image a file; got {tuple(self.data.shape)}.")
+            raise InputValueError(f"{path}: expected one image a file; got {tuple(self.data.shape)}.")
         camera, rgb = self._camera(), info.kind == "rgb"
         height, width = self.data.shape[-2:]
         source = self._depth_source(path, rgb)

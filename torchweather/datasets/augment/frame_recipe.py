@@ -66,8 +66,8 @@ class FrameRecipe:
             kind = spec.sensor.kind
             if kind in self.keys:
                 raise InputValueError(
-                    f"augment: wanted a recipe with one sensor of a kind; it has two of a {kind}, {self.keys[kind]!r} "
-                    f"and {key!r}. All cameras of a data set take the one camera's transform."
+                    f"augment: expected a recipe with one sensor of a kind; it has two of a {kind}, "
+                    f"{self.keys[kind]!r} and {key!r}. All cameras of a data set take the one camera's transform."
                 )
             self.keys[kind] = key
         self._built: OrderedDict[str, Compose] = OrderedDict()

@@ -257,8 +257,8 @@ class Manifest:
 
     def _damaged(self, why: str) -> TorchweatherError:
         return TorchweatherError(
-            f"{self.path}: wanted a manifest of torchweather; {why}. --rebuild keeps what can be read and whose files "
-            "have their hashes; --restart deletes what it names and begins again."
+            f"{self.path}: expected a manifest of torchweather; {why}. --rebuild keeps what can be read and whose "
+            "files have their hashes; --restart deletes what it names and begins again."
         )
 
     @contextmanager

@@ -207,9 +207,9 @@ def _read(path: Path) -> list[dict[str, Any]]:
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise TorchweatherError(f"{path}: wanted a table of nuScenes in json; {error}.") from error
+        raise TorchweatherError(f"{path}: expected a table of nuScenes in json; {error}.") from error
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise TorchweatherError(f"{path}: wanted a table of nuScenes, a list of rows; got {type(rows).__name__}.")
+        raise TorchweatherError(f"{path}: expected a table of nuScenes, a list of rows; got {type(rows).__name__}.")
     return rows
 
 
@@ -239,7 +239,7 @@ def _rigid(row: Mapping[str, Any], where: Path) -> Matrix:
             raise InputValueError(f"got {row['translation']!r} and {row['rotation']!r}")
         w, x, y, z = turn / np.linalg.norm(turn)
     except (TypeError, ValueError, OverflowError) as error:
-        raise TorchweatherError(f"{where}: wanted translation (3) and rotation (4: w, x, y, z); {error}.") from error
+        raise TorchweatherError(f"{where}: expected translation (3) and rotation (4: w, x, y, z); {error}.") from error
     matrix[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -255,7 +255,7 @@ def _intrinsic(matrix: Any, where: Path) -> tuple[tuple[float, ...], ...]:
         if found.shape != (3, 3) or not np.isfinite(found).all():
             raise InputValueError(f"got {matrix!r}")
     except (TypeError, ValueError, OverflowError) as error:
-        raise TorchweatherError(f"{where}: wanted camera_intrinsic, 3 x 3 finite numbers; {error}.") from error
+        raise TorchweatherError(f"{where}: expected camera_intrinsic, 3 x 3 finite numbers; {error}.") from error
     return _plain(found)
 
 

@@ -48,7 +48,7 @@ def check_relative(root: Path, relative: str, what: str) -> None:
 
 
 def _outside(root: Path, relative: str, what: str) -> str:
-    return f"{what}: {relative!r} lies outside {root}; wanted a path below it. Nothing is read."
+    return f"{what}: {relative!r} lies outside {root}; expected a path below it. Nothing is read."
 
 
 def files_below(root: Path, *, follow_links: bool = False, left_out: list[str] | None = None) -> Iterator[str]:

@@ -36,13 +36,13 @@ def read_boxes(outputs: Outputs, declaration: Declaration, taken: tuple[int, int
     scores = unbatched("scores", outputs["scores"][0], 1 if "labels" in outputs else 2)
     if boxes.shape[-1:] != (4,) or len(scores) != len(boxes):
         raise TorchweatherError(
-            f"decoder boxes: wanted boxes (N, 4) and scores of as many; got {boxes.shape} and {scores.shape}."
+            f"decoder boxes: expected boxes (N, 4) and scores of as many; got {boxes.shape} and {scores.shape}."
         )
     if "labels" not in outputs:
         return boxes, scores.max(-1), scores.argmax(-1)
     labels = unbatched("labels", outputs["labels"][0], 1)
     if len(labels) != len(boxes):
-        raise TorchweatherError(f"decoder boxes: wanted a label a box, {len(boxes)}; got {len(labels)}.")
+        raise TorchweatherError(f"decoder boxes: expected a label a box, {len(boxes)}; got {len(labels)}.")
     return boxes, scores, labels
 
 
@@ -65,7 +65,7 @@ def read_end_to_end(outputs: Outputs, declaration: Declaration, taken: tuple[int
     """``(N, 6)``: box, score, label."""
     packed = unbatched("packed", outputs["packed"][0], 2)
     if packed.shape[-1] != 6:
-        raise TorchweatherError(f"decoder end-to-end: wanted packed (N, 6); got {packed.shape}.")
+        raise TorchweatherError(f"decoder end-to-end: expected packed (N, 6); got {packed.shape}.")
     return packed[:, :4], packed[:, 4], packed[:, 5]
 
 
@@ -74,7 +74,7 @@ def read_mmdeploy(outputs: Outputs, declaration: Declaration, taken: tuple[int, 
     boxes, labels = unbatched("boxes", outputs["boxes"][0], 2), unbatched("labels", outputs["labels"][0], 1)
     if boxes.shape[-1] != 5 or len(labels) != len(boxes):
         raise TorchweatherError(
-            f"decoder mmdeploy: wanted boxes (N, 5) and labels of as many; got {boxes.shape} and {labels.shape}."
+            f"decoder mmdeploy: expected boxes (N, 5) and labels of as many; got {boxes.shape} and {labels.shape}."
         )
     return boxes[:, :4], boxes[:, 4], labels
 
@@ -84,7 +84,7 @@ def read_detr(outputs: Outputs, declaration: Declaration, taken: tuple[int, int]
     logits, boxes = unbatched("logits", outputs["logits"][0], 2), unbatched("boxes", outputs["boxes"][0], 2)
     if boxes.shape[-1] != 4 or len(logits) != len(boxes):
         raise TorchweatherError(
-            f"decoder detr: wanted boxes (N, 4) and logits of as many; got {boxes.shape} and {logits.shape}."
+            f"decoder detr: expected boxes (N, 4) and logits of as many; got {boxes.shape} and {logits.shape}."
         )
     scores = _active(logits, declaration)
     if declaration.options["activation"] != "softmax":
@@ -105,7 +105,7 @@ def read_nanodet(outputs: Outputs, declaration: Declaration, taken: tuple[int, i
         rows, columns = (-(-side // stride) for side in taken)
         if len(level) != rows * columns or len(sides) != rows * columns or sides.shape[-1] % 4:
             raise TorchweatherError(
-                f"decoder nanodet: wanted {rows} x {columns} places of stride {stride} of an input of {taken[0]} x "
+                f"decoder nanodet: expected {rows} x {columns} places of stride {stride} of an input of {taken[0]} x "
                 f"{taken[1]} px, with 4 numbers a bin; got scores {level.shape} and boxes {sides.shape}."
             )
         shares = _softmax(sides.reshape(len(sides), 4, -1).astype(np.float64))
@@ -143,7 +143,7 @@ def _softmax(values: Array) -> Array:
 def _check_width(name: str, packed: Array, least: int) -> None:
     if packed.shape[-1] < least:
         raise TorchweatherError(
-            f"decoder {name}: wanted {least} numbers a place or more; got {packed.shape[-1]} of {packed.shape[0]}."
+            f"decoder {name}: expected {least} numbers a place or more; got {packed.shape[-1]} of {packed.shape[0]}."
         )
 
 

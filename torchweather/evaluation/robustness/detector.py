@@ -87,7 +87,7 @@ class OnnxDetector:
         found = self._decoded(given[None] if self.declaration.input["batch"] else given, None)
         if len(found) != len(points):
             raise TorchweatherError(
-                f"{self.declaration.path}: wanted logits for each of {len(points)} points; got {len(found)}."
+                f"{self.declaration.path}: expected logits for each of {len(points)} points; got {len(found)}."
             )
         return found
 

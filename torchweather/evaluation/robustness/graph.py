@@ -78,7 +78,7 @@ def open_session(model: str | os.PathLike[str], *, threads: int = 1) -> tuple[An
         session = onnxruntime.InferenceSession(name, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's own classes are not public
         reason = " ".join(str(error).split())
-        raise TorchweatherError(f"{name}: wanted an ONNX graph; it cannot be read ({reason}).") from error
+        raise TorchweatherError(f"{name}: expected an ONNX graph; it cannot be read ({reason}).") from error
     inputs, outputs = (
         {each.name: _port(each) for each in ports} for ports in (session.get_inputs(), session.get_outputs())
     )

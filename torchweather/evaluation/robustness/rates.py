@@ -72,7 +72,7 @@ def rates(
             if not math.isnan(value):
                 check_between(f"performance ({name})", value, 0.0, 1.0, owner="rates")
     if not weathers or not all(len(values) for values in weathers.values()):
-        raise InputValueError("rates: wanted one weather or more, with a performance each; got none.")
+        raise InputValueError("rates: expected one weather or more, with a performance each; got none.")
     if baseline is not None and {k: len(v) for k, v in baseline.items()} != {k: len(v) for k, v in weathers.items()}:
         raise InputValueError(
             f"rates: the baseline must have the same weathers and severities, {', '.join(weathers)}; got "

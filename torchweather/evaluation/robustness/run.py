@@ -93,7 +93,7 @@ def run_robustness(
     if seeds < 1:
         raise InputValueError(f"robustness: seeds must be 1 or more; got {seeds}.")
     if not conditions:
-        raise InputValueError("robustness: wanted one condition or more; got none.")
+        raise InputValueError("robustness: expected one condition or more; got none.")
     declaration = detector.declaration
 
     def counter() -> Counter:
@@ -130,7 +130,7 @@ def run_robustness(
             if progress is not None:
                 progress()
     if not names:
-        raise TorchweatherError("robustness: wanted one frame or more; got none.")
+        raise TorchweatherError("robustness: expected one frame or more; got none.")
     return _result(
         clear,
         [(condition, [weathered[place, k] for k in range(seeds)]) for place, condition in enumerate(conditions)],

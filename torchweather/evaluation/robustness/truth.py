@@ -99,11 +99,11 @@ def read_boxes_truth(path: str | os.PathLike[str], classes: Mapping[int, str]) -
     except (ValueError, KeyError, TypeError) as error:
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise TorchweatherError(
-            f"{file}: wanted ground truth as COCO's JSON (images, annotations, categories); it cannot be read "
+            f"{file}: expected ground truth as COCO's JSON (images, annotations, categories); it cannot be read "
             f"({reason})."
         ) from error
     if len({*images.values()}) < len(images):
-        raise TorchweatherError(f"{file}: wanted images of different names; some stand there twice.")
+        raise TorchweatherError(f"{file}: expected images of different names; some stand there twice.")
     known = {*classes.values()} & {*names.values()}
     if not known:
         hint = nearest_name(next(iter(classes.values())), names.values())
@@ -161,7 +161,7 @@ def read_label_truth(folder: str | os.PathLike[str], stem: str, sensor: str, sha
         if file.is_file():
             return LabelTruth(_labels(file, shape))
     raise TorchweatherError(
-        f"{folder}: no ground truth for {stem}; wanted {stem} with {', '.join(LABEL_SUFFIXES[sensor])}."
+        f"{folder}: no ground truth for {stem}; expected {stem} with {', '.join(LABEL_SUFFIXES[sensor])}."
     )
 
 
@@ -171,7 +171,7 @@ def _labels(file: Path, shape: tuple[int, ...]) -> NDArray[np.int64]:
     image, _ = read_image(file)
     if tuple(image.shape) != (1, *shape):
         raise TorchweatherError(
-            f"{file}: wanted one class a pixel, {shape[0]} x {shape[1]} as the frame; got shape {tuple(image.shape)}."
+            f"{file}: expected one class a pixel, {shape[0]} x {shape[1]} as the frame; got shape {tuple(image.shape)}."
         )
     return np.asarray(image[0].numpy(), dtype=np.int64)
 

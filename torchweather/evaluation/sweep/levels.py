@@ -74,11 +74,13 @@ def parse_levels(text: str) -> list[Level]:
     parts = [_Part(part) for part in text.split("+")]
     lists = [(part, key) for part in parts for key, values in part.arguments.items() if len(values) > 1]
     if not lists:
-        raise InputValueError(f"{OWNER}: wanted two or more values of a rate or a visibility, {EXAMPLE}; got {text!r}.")
+        raise InputValueError(
+            f"{OWNER}: expected two or more values of a rate or a visibility, {EXAMPLE}; got {text!r}."
+        )
     if len(lists) > 1:
         raise InputValueError(
-            f"{OWNER}: wanted one list of values, of one part of the weather; got {len(lists)} in {text!r}. Sweep one "
-            "after the other."
+            f"{OWNER}: expected one list of values, of one part of the weather; got {len(lists)} in {text!r}. Sweep "
+            "one after the other."
         )
     part, key = lists[0]
     knob = ALIASES.get(key, key)
@@ -90,7 +92,7 @@ def parse_levels(text: str) -> list[Level]:
     values = sorted((_number(value, text) for value in part.arguments[key]), reverse=not RISES[knob])
     twice = next((low for low, high in pairwise(values) if low == high), None)
     if twice is not None:
-        raise InputValueError(f"{OWNER}: wanted levels that differ; got {twice:g} twice in {text!r}.")
+        raise InputValueError(f"{OWNER}: expected levels that differ; got {twice:g} twice in {text!r}.")
     if not 0.0 < min(values) <= max(values) < float("inf"):
         raise InputValueError(
             f"{OWNER}: a level must be above 0 and finite; got {text!r}. Clear air is the reference and needs no level."
@@ -115,12 +117,12 @@ class _Part:
             if equals:
                 last = key.strip()
                 if last in self.arguments:
-                    raise InputValueError(f"{OWNER}: wanted {last!r} once; got it twice in {self.text!r}.")
+                    raise InputValueError(f"{OWNER}: expected {last!r} once; got it twice in {self.text!r}.")
                 self.arguments[last] = [value.strip()]
             elif last:
                 self.arguments[last].append(piece)  # a value more of the argument before it
             else:
-                raise InputValueError(f"{OWNER}: wanted key=value, {EXAMPLE}; got {piece!r} in {self.text!r}.")
+                raise InputValueError(f"{OWNER}: expected key=value, {EXAMPLE}; got {piece!r} in {self.text!r}.")
 
     def without(self, key: str, extra: Iterable[str] = ()) -> str:
         """The text without an argument, with others."""
@@ -139,4 +141,4 @@ def _number(value: str, text: str) -> float:
     try:
         return float(value)
     except ValueError:
-        raise InputValueError(f"{OWNER}: wanted numbers in the list, {EXAMPLE}; got {value!r} in {text!r}.") from None
+        raise InputValueError(f"{OWNER}: expected numbers in the list, {EXAMPLE}; got {value!r} in {text!r}.") from None

@@ -55,11 +55,11 @@ def plan(subjects: Sequence[Subject], levels: Sequence[Level]) -> list[tuple[Sub
         raise InputTypeError(f"sweep: expected subjects, such as CameraSubject; got {odd[0]!r:.100}.")
     series = {(level.name, level.severity) for level in levels}
     if len(series) < len(levels):
-        raise InputValueError("sweep: wanted each weather once; got one twice. Give all its levels in one list.")
+        raise InputValueError("sweep: expected each weather once; got one twice. Give all its levels in one list.")
     twice = {subject.name for subject in subjects if sum(subject.name == other.name for other in subjects) > 1}
     if twice:
         raise InputValueError(
-            f"sweep: wanted subjects of different names; got {', '.join(sorted(twice))} more than once."
+            f"sweep: expected subjects of different names; got {', '.join(sorted(twice))} more than once."
         )
     found = []
     for subject in subjects:
@@ -68,7 +68,9 @@ def plan(subjects: Sequence[Subject], levels: Sequence[Level]) -> list[tuple[Sub
             found.append((subject, fits))
     if not found:
         names = ", ".join(subject.name for subject in subjects) or "no subject"
-        raise InputValueError(f"sweep: wanted a subject and a weather that go together; got {names}. Indoors give fog.")
+        raise InputValueError(
+            f"sweep: expected a subject and a weather that go together; got {names}. Indoors give fog."
+        )
     return found
 
 
@@ -99,7 +101,7 @@ def samples(
     )
     seeds = [int(seed) for seed in seeds]
     if not seeds or len(set(seeds)) < len(seeds):
-        raise InputValueError(f"sweep: wanted one or more seeds that differ; got {list(seeds)}.")
+        raise InputValueError(f"sweep: expected one or more seeds that differ; got {list(seeds)}.")
     todo = plan(subjects, levels)
     for subject, _ in todo:
         for name in names or ():

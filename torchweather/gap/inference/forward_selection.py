@@ -108,8 +108,8 @@ def find_gap_with(
     started = time.perf_counter()
     if not model.fit or not model.holdout:
         raise TorchweatherError(
-            "find_gap: not enough data to decide: study.yaml: conditions[].split: wanted conditions in weather to fit "
-            f"to and others held out; got {len(model.fit)} and {len(model.holdout)}. A second rate or a second "
+            "find_gap: not enough data to decide: study.yaml: conditions[].split: expected conditions in weather to "
+            f"fit to and others held out; got {len(model.fit)} and {len(model.holdout)}. A second rate or a second "
             "scene can be held out."
         )
     for name in effects or ():
@@ -129,7 +129,7 @@ def find_gap_with(
     if counted_entries(search) < METHOD.min_entries:
         raise TorchweatherError(
             f"find_gap: not enough data to decide: {counted_entries(search)} statistics hold enough beams to count; "
-            f"wanted {METHOD.min_entries} or more. Record more frames a condition, or more beams that see a surface."
+            f"expected {METHOD.min_entries} or more. Record more frames a condition, or more beams that see a surface."
         )
     progress("response curves")
     global_test = run_global_test(search, chosen, base, seed)

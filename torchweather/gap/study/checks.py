@@ -93,7 +93,9 @@ class FrameRule:
         """The frame, each array as it was stored (a scalar without axes)."""
         rules = self.arrays
         if not isinstance(frame, Mapping):
-            raise TorchweatherError(f"{name}: wanted arrays by name ({', '.join(rules)}); got {type(frame).__name__}.")
+            raise TorchweatherError(
+                f"{name}: expected arrays by name ({', '.join(rules)}); got {type(frame).__name__}."
+            )
         self._check_names(frame, rules, name)
         sizes = dict(self.sizes)
         checked: dict[str, Array] = {}

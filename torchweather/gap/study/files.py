@@ -186,7 +186,7 @@ def _sensor(values: Mapping[str, Any], kind: StudyKind, owner: str) -> StudySens
 def write_folder(study: StudyContent, folder: Path) -> None:
     """Write ``study.yaml`` and one ``.npz`` file per frame; nothing is left where it fails."""
     if folder.is_dir() and any(folder.iterdir()):
-        raise TorchweatherError(f"{folder}: wanted a new or an empty folder; it holds files. Choose another one.")
+        raise TorchweatherError(f"{folder}: expected a new or an empty folder; it holds files. Choose another one.")
     with atomic_folder(folder) as unfinished:
         (unfinished / "frames").mkdir()
         write = _Writer(unfinished)

@@ -205,7 +205,7 @@ def _files(folder: PathLike, kind: StudyKind) -> list[Path]:
     named = (file for file in root.iterdir() if file.name.lower().endswith(suffixes) and not is_hidden(file))
     found = sorted(file for file in named if file.name != NO_FRAME)
     if not found:
-        raise TorchweatherError(f"{root}: no frames; wanted files ending in {', '.join(suffixes)}.")
+        raise TorchweatherError(f"{root}: no frames; expected files ending in {', '.join(suffixes)}.")
     return found
 
 

@@ -43,7 +43,7 @@ class NpzFile:
             stated = sum(member.file_size for member in archive.infolist())
             if stated > MOST_BYTES:
                 raise TorchweatherError(
-                    f"{self.path}: wanted one frame, at most {MOST_BYTES} bytes unpacked; its arrays have {stated}."
+                    f"{self.path}: expected one frame, at most {MOST_BYTES} bytes unpacked; its arrays have {stated}."
                 )
         return read_archive(self.path)[0]
 

@@ -258,7 +258,7 @@ def _weather(row: Values, kind: StudyKind, key: str, owner: str) -> tuple[Weathe
         rel_sd = _number(given.pop(spread, rel_sd), f"{owner}: {where}.{spread}", 0.0, MOST_REL_SD, "")
     if given is None:
         raise TorchweatherError(
-            f"{owner}: {where} is missing: wanted kind rain, fog or snow with its rate_mm_per_h or mor_m, or clear."
+            f"{owner}: {where} is missing: expected kind rain, fog or snow with its rate_mm_per_h or mor_m, or clear."
         )
     try:
         if isinstance(given, Mapping):

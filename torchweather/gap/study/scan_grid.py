@@ -54,7 +54,7 @@ def scan_frame(cloud: PointCloud, lidar: Lidar, name: str) -> tuple[Frame, int]:
     """
     if not lidar.elevations_deg or lidar.columns is None:
         raise TorchweatherError(
-            f"{name}: an unorganised cloud needs the sensor's scan pattern: wanted Lidar(elevations_deg=..., "
+            f"{name}: an unorganised cloud needs the sensor's scan pattern: expected Lidar(elevations_deg=..., "
             f"columns=...); got {lidar.elevations_deg} and {lidar.columns}. Take a preset that has them."
         )
     rings, columns = len(lidar.elevations_deg), lidar.columns

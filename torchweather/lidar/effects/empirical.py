@@ -145,12 +145,14 @@ class Empirical(Stage):
         check_one_of("axis", axis, AXES, owner=self)
         check_one_of("of", of, KINDS[kind], owner=self)
         if axis == "particle_range_m" and of != "particle":
-            raise InputValueError("Empirical: axis particle_range_m is the range of a particle; wanted of='particle'.")
+            raise InputValueError(
+                "Empirical: axis particle_range_m is the range of a particle; expected of='particle'."
+            )
         nodes = [float(one) for one in at]
         _check_rising("at", [float(measured_from), *nodes, float(measured_to)])
         if not nodes or len(nodes) != len(value):
             raise InputValueError(
-                f"Empirical: wanted one value for each node, one or more; got {len(nodes)}, {len(value)}."
+                f"Empirical: expected one value for each node, one or more; got {len(nodes)}, {len(value)}."
             )
         low, high = LIMITS.get(kind, (-math.inf, math.inf))
         for one in value:
@@ -175,7 +177,7 @@ class Empirical(Stage):
             return
         _check_rising("places_m", self.places_m)
         if len(self.places_m) != len(self.shares) + 1 or min(self.places_m) < 0:
-            raise InputValueError("Empirical: wanted places_m of 0 m or more, one more than shares.")
+            raise InputValueError("Empirical: expected places_m of 0 m or more, one more than shares.")
         total = sum(self.shares)
         if min(self.shares) < 0 or not 0 < total < math.inf:
             raise InputValueError("Empirical: shares must be 0 or more, and not all 0.")
@@ -245,7 +247,8 @@ class Empirical(Stage):
             found: Tensor | None = state.field(self.axis)
             if found is None:
                 raise InputValueError(
-                    f"Empirical: wanted a state with {self.axis}, over which the curve was measured; this one has none."
+                    f"Empirical: expected a state with {self.axis}, over which the curve was measured; this one has "
+                    "none."
                 )
             return found.abs() if self.axis == "cos_incidence" else found
         x, y, z = along_beam(state)

@@ -184,8 +184,8 @@ def _block(speed: Tensor, radar: Radar) -> tuple[int, int]:
 def _check(scatterers: Scatterers, radar: Radar) -> None:
     if not scatterers.field_m.numel():
         raise InputValueError(
-            f"beat_signal: wanted one scatterer or more; got shape {tuple(scatterers.field_m.shape)}. For noise alone "
-            "give one with field 0."
+            f"beat_signal: expected one scatterer or more; got shape {tuple(scatterers.field_m.shape)}. For noise "
+            "alone give one with field 0."
         )
     there = (scatterers.field_m != 0).detach()
     if not bool(there.any()):

@@ -200,7 +200,12 @@ RAIN = record()["series"]["rain_mm_per_h"]
 BROKEN: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("no rain", {"rain_mm_per_h": np.zeros_like(RAIN)}, {}, "no rain"),
     ("never dry", {"rain_mm_per_h": np.full_like(RAIN, 2.0)}, {}, "no dry sample"),
-    ("none held out", {}, {"split": np.zeros(LINKS, int)}, r"split: wanted links to fit to \(0\) and others held out"),
+    (
+        "none held out",
+        {},
+        {"split": np.zeros(LINKS, int)},
+        r"split: expected links to fit to \(0\) and others held out",
+    ),
     ("all held out", {}, {"split": np.ones(LINKS, int)}, "All links are held out"),
 ]
 
@@ -231,5 +236,5 @@ def test_what_was_found_on_links_goes_into_a_radar_and_into_no_lidar() -> None:
     assert "wet_radome" in repaired.chain.stages
     with pytest.raises(ValueError, match=r"radar\.wet_radome"):
         found.apply(LidarWeather(Rain(10.0), Lidar.preset("ouster-os1-128")))
-    with pytest.raises(TypeError, match="wanted a LidarWeather, a BayerWeather or a RadarAttenuation; got Rain"):
+    with pytest.raises(TypeError, match="expected a LidarWeather, a BayerWeather or a RadarAttenuation; got Rain"):
         found.apply(Rain(10.0))  # type: ignore[type-var]

@@ -697,17 +697,17 @@ def test_targets_that_no_two_clear_frames_have_are_refused() -> None:
         frames.append(
             {**frame, **{n: np.where(mine, frame[n], np.nan) for n in ("power_db", "range_m", "speed_m_per_s")}}
         )
-    with pytest.raises(TorchweatherError, match=r"scenes\[0\].clear.*power_db: wanted targets that two clear frames"):
+    with pytest.raises(TorchweatherError, match=r"scenes\[0\].clear.*power_db: expected targets that two clear frames"):
         RadarFrames(changed(scene={"clear": frames}))
 
 
 def test_nothing_held_out_is_refused() -> None:
-    with pytest.raises(TorchweatherError, match=r"conditions\[\]\.split: wanted conditions in weather to fit to"):
+    with pytest.raises(TorchweatherError, match=r"conditions\[\]\.split: expected conditions in weather to fit to"):
         find_gap(changed(split="fit"))
 
 
 def test_too_few_targets_are_refused() -> None:
-    with pytest.raises(TorchweatherError, match=r"scenes\[\]\.clear: power_db: wanted targets"):
+    with pytest.raises(TorchweatherError, match=r"scenes\[\]\.clear: power_db: expected targets"):
         find_gap(tiny_radar_study(number=2, clear=2, frames=1))
 
 

@@ -211,7 +211,7 @@ def camera_scene(scene: StudyScene, camera: Camera) -> CameraScene:
     if min(height, width) < LEAST_PX:
         raise TorchweatherError(
             f"find_gap: not enough data to decide: the frames of scene {scene.id} have {width} x {height} pixels; "
-            f"wanted {LEAST_PX} or more either way, better 160 x 120: light is compared block by block."
+            f"expected {LEAST_PX} or more either way, better 160 x 120: light is compared block by block."
         )
     if number < 2:
         raise TorchweatherError(

@@ -64,7 +64,7 @@ def attenuation_db(samples: LinkSamples, effects: Sequence[Effect], log_rain: fl
     for effect in effects:
         if effect.id not in LINK_EFFECTS:
             raise InputValueError(
-                f"attenuation_db: {effect.id} does nothing to a link; wanted {', '.join(LINK_EFFECTS)}."
+                f"attenuation_db: {effect.id} does nothing to a link; expected {', '.join(LINK_EFFECTS)}."
             )
         total = total + LINK_EFFECTS[effect.id](effect, samples, path_db)
     return total

@@ -95,7 +95,7 @@ class LinkFrames:
     def _check(self, held: NDArray[np.bool_]) -> None:
         if held.all() or not held.any():
             raise TorchweatherError(
-                "find_gap: not enough data to decide: links: split: wanted links to fit to (0) and others held out "
+                "find_gap: not enough data to decide: links: split: expected links to fit to (0) and others held out "
                 f"(1); got {int((~held).sum())} and {int(held.sum())}. Half and half, drawn at random, is usual."
             )
 

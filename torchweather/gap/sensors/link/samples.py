@@ -110,8 +110,8 @@ def link_samples(links: Frame, frame: Frame, chosen: Mask, owner: str) -> tuple[
     dry = known & dry_samples(time_s, rain)
     if not wet.any():
         raise TorchweatherError(
-            f"{owner}: not enough data to decide: wanted rain of {RAIN_EDGES_MM_PER_H[0]:g} mm/h or more on the links; "
-            f"the record's largest is {np.nanmax(mean, initial=0.0):g} mm/h (rain_mm_per_h, not mm in a step)."
+            f"{owner}: not enough data to decide: expected rain of {RAIN_EDGES_MM_PER_H[0]:g} mm/h or more on the "
+            f"links; the record's largest is {np.nanmax(mean, initial=0.0):g} mm/h (rain_mm_per_h, not mm in a step)."
         )
     if not dry.any():
         raise TorchweatherError(

@@ -145,9 +145,9 @@ class RadarFrames:
             most = max(most, targets * len(condition.frames))
         if self.fit and most < FEWEST_TARGETS:
             raise TorchweatherError(
-                "find_gap: not enough data to decide: scenes[].clear: power_db: wanted targets that most clear frames "
-                f"have, {FEWEST_TARGETS:.0f} or more times the frames of a condition; got at most {most}. Record more "
-                "frames, or a scene with more targets."
+                "find_gap: not enough data to decide: scenes[].clear: power_db: expected targets that most clear "
+                f"frames have, {FEWEST_TARGETS:.0f} or more times the frames of a condition; got at most {most}. "
+                "Record more frames, or a scene with more targets."
             )
 
     # ---- frames --------------------------------------------------------------------------------------------------

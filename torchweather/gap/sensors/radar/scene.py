@@ -155,8 +155,8 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     seen = ~np.isnan(clear.power_db)
     if not (seen.sum(0) >= 2).any():
         raise TorchweatherError(
-            f"find_gap: not enough data to decide: {scene.clear.name}: power_db: wanted targets that two clear frames "
-            "or more detect; got none. Without them the differences between clear frames are unknown."
+            f"find_gap: not enough data to decide: {scene.clear.name}: power_db: expected targets that two clear "
+            "frames or more detect; got none. Without them the differences between clear frames are unknown."
         )
     reference = {name: _others_mean(getattr(clear, name)) for name in MEASURED}
     count = len(clear)
