@@ -230,7 +230,7 @@ def test_messages_are_found_in_a_source() -> None:
     source = """
 def check(x, name):
     if x:
-        raise TorchweatherError(f"{name}: wanted a thing {x}; " "got none.")
+        raise TorchweatherError(f"{name}: expected a thing {x}; " "got none.")
     warnings.warn("A wordy text here." + more(x), TorchweatherWarning)
     raise InputValueError("too long a text" if x else f"too short a {x}") from None
 """

@@ -86,7 +86,10 @@ def test_what_is_wrong_in_a_declaration_is_named_with_the_file(what: str, tmp_pa
 MISMATCH: dict[str, tuple[dict[str, Any], str]] = {
     "input name": ({"input": {"name": "imgae"}}, r"names input 'imgae'.*takes image float32 \(1, 3, H, W\).*'image'"),
     "layout": ({"input": {"name": "image", "layout": "NHWC"}}, r"states image float32 \(1, H, W, 3\);.*\(1, 3, H, W\)"),
-    "type": ({"input": {"name": "image", "dtype": "uint8"}}, r"states image uint8 \(1, 3, H, W\); .*takes image float32"),
+    "type": (
+        {"input": {"name": "image", "dtype": "uint8"}},
+        r"states image uint8 \(1, 3, H, W\);.*takes image float32",
+    ),
     "colour": ({"input": {"name": "image", "colour": "bayer"}}, r"states image float32 \(1, 1, H, W\)"),
     "output": ({"outputs": {"boxes": "bokses", "scores": "scores"}}, r"names output 'bokses' for boxes.*gives boxes"),
 }
