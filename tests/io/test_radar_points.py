@@ -359,6 +359,7 @@ def test_a_number_that_a_field_cannot_hold_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "b.pcd").exists()
 
 
+@pytest.mark.filterwarnings("ignore:.* its VIEWPOINT")  # a damaged one that is read all the same
 @pytest.mark.parametrize("name", ["a.pcd", "a.csv", "a.npz"])
 @given(data=st.data())
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
