@@ -119,7 +119,7 @@ def _warn_of_unit(intensity: Tensor, high: float, sensor: Lidar, name: str) -> N
 def _too_bright(intensity: Tensor, unit: str) -> str:
     """Evidence for a brighter unit from the bulk of the intensities; empty where only a few are bright."""
     if unit == "reflectivity":
-        # A count tells what the bulk's largest value would, in a tenth of its time.
+        # Whether the bulk's largest value is above the limit follows from two counts, in a tenth of its time.
         number = int(torch.count_nonzero(intensity > 0))
         dim = number - int(torch.count_nonzero(intensity > BRIGHTEST_REFLECTIVITY))
         if dim >= max(1, round(BULK * number)):

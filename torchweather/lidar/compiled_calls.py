@@ -11,11 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.core.compiled import uses_compiled
 from torchweather.lidar.intensity import LOG_STEP, WHITE
-from torchweather.lidar.returns.compiled_calls import NO_ROW, array_of
+from torchweather.lidar.returns.compiled_calls import NO_ROW, array_of, is_plain
 from torchweather.lidar.sensor import Lidar
-from torchweather.pipeline.tiling import is_exporting
 
 if TYPE_CHECKING:
     from torchweather.lidar.compiled_beams import Receiver
@@ -24,17 +22,6 @@ __all__ = ["MODES", "chosen_echoes", "is_plain", "read_echoes"]
 
 MODES = ("strongest", "first", "last", "dual")
 """Return modes, by the number that compiled loops have for them."""
-
-
-def is_plain(*tensors: Tensor | None) -> bool:
-    """True where compiled loops may take tensors: single precision on the processor, no gradients, no tracing."""
-    if is_exporting() or not uses_compiled():
-        return False
-    learns = torch.is_grad_enabled()
-    return all(
-        one is None or (one.device.type == "cpu" and one.dtype == torch.float32 and not (learns and one.requires_grad))
-        for one in tensors
-    )
 
 
 def chosen_echoes(

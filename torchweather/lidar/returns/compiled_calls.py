@@ -28,7 +28,17 @@ from torchweather.pipeline.tiling import is_exporting
 if TYPE_CHECKING:
     from torchweather.lidar.returns.compiled_echoes import Part
 
-__all__ = ["FEWEST_BEAMS", "NO_MAP", "NO_ROW", "array_of", "compiled_echoes", "compiles", "no_part", "part_of"]
+__all__ = [
+    "FEWEST_BEAMS",
+    "NO_MAP",
+    "NO_ROW",
+    "array_of",
+    "compiled_echoes",
+    "compiles",
+    "is_plain",
+    "no_part",
+    "part_of",
+]
 
 FEWEST_BEAMS = 1 << 14  # of a thread of its own
 LATE_STEP = math.log(ARRIVAL_HIGH / ARRIVAL_LOW) / (ARRIVAL_NODES - 1)
@@ -39,6 +49,17 @@ NO_MAP: Array = np.zeros((0, 0), np.float32)
 NO_ROW: Array = np.zeros(0, np.float32)
 
 
+def is_plain(*tensors: Tensor | None) -> bool:
+    """True where compiled loops may take tensors: single precision on the processor, no gradients, no tracing."""
+    if is_exporting() or not uses_compiled():
+        return False
+    learns = torch.is_grad_enabled()
+    return all(
+        one is None or (one.device.type == "cpu" and one.dtype == torch.float32 and not (learns and one.requires_grad))
+        for one in tensors
+    )
+
+
 def compiles(part: BeamParticles | SoftReturn, tensors: Iterable[Tensor | None]) -> bool:
     """True where compiled loops may draw the echoes of a part: single precision on the processor, no gradients.
 
@@ -46,13 +67,7 @@ def compiles(part: BeamParticles | SoftReturn, tensors: Iterable[Tensor | None])
         part: what returns.
         tensors: inputs of the echoes.
     """
-    if is_exporting() or not uses_compiled() or (isinstance(part, BeamParticles) and part.published):
-        return False
-    learns = torch.is_grad_enabled()
-    return all(
-        one is None or (one.device.type == "cpu" and one.dtype == torch.float32 and not (learns and one.requires_grad))
-        for one in tensors
-    )
+    return not (isinstance(part, BeamParticles) and part.published) and is_plain(*tensors)
 
 
 def compiled_echoes(

@@ -223,8 +223,8 @@ class LidarFrames:
         transform = self.transform(condition)
         stages = self._stages(transform, scene, effects)
         names = [name for name in stages if name != ToPoints.default_name]
-        # What comes before the first effect of the catalogue is the same for all settings of it, and what the
-        # particles send back for all that is done to it: kept.
+        # Two states are kept: the one before the first effect of the catalogue, which all settings of that effect
+        # share, and the one behind the echoes of the particles, which all later effects share.
         own = [names.index(one.default_name) for one in effects if one.id in EFFECTS]
         first = min(own, default=len(names))
         every = list(stages.values())
