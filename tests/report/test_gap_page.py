@@ -147,6 +147,14 @@ def test_ignored_parts_are_listed(study: Study, tmp_path: Path) -> None:
     assert "were ignored: s0:0,32." in words_of(tmp_path / "out")
 
 
+@pytest.mark.parametrize("reached", [False, True])
+def test_a_search_that_stopped_at_its_limit_says_so(study: Study, tmp_path: Path, reached: bool) -> None:
+    found = report("named", study)
+    answer = {**found.answer, "max_frames": {"limit": 12000, "reached": reached}}
+    write_gap(tmp_path / "out", study, replace(found, answer=answer))
+    assert ("stopped at its limit of 12,000 simulated frames" in words_of(tmp_path / "out")) == reached
+
+
 def test_the_whole_catalogue_needs_no_word(pages: dict[str, Path]) -> None:
     assert "searched for" not in words_of(pages["named"])
     assert "were ignored" not in words_of(pages["named"])

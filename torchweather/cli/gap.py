@@ -47,6 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-none", action="store_true", help="of the demo: hide no effect as often as any one of them"
     )
+    parser.add_argument(
+        "--max-frames",
+        type=int,
+        metavar="N",
+        help="try no further effect once N frames were simulated; the page says so. Default no limit",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
@@ -71,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
         effects=effects,
         seed=args.seed or 0,
         ignore_parts=args.ignore_parts,
+        max_frames=args.max_frames,
         progress=lambda text: note(text, quiet=args.quiet),
     )
     answer = write_gap(args.out, study, report, effects=effects)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from torchweather.core.errors import TorchweatherError
+from torchweather.core.errors import TorchweatherError, check_at_least
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap.diagnosis import diagnose
 from torchweather.gap.gap_report import GapReport, gap_report
@@ -36,6 +36,7 @@ def find_gap(
     effects: Sequence[str] | None = None,
     seed: int = 0,
     ignore_parts: Sequence[str] = (),
+    max_frames: int | None = None,
     progress: Callable[[str], None] | None = None,
     say: Callable[[str], None] | None = None,
 ) -> GapReport:
@@ -53,6 +54,9 @@ def find_gap(
         ignore_parts: parts of a camera's picture that are no change of the scene, ``SCENE:ROW,COLUMN`` as the error
             "scene changed" names them. Only that check leaves them out; the search counts them, and
             ``to_dict()["ignored_parts"]`` has them.
+        max_frames: number of simulated frames from which the search tries no further effect: what was begun is ended,
+            so that some thousand more may be simulated. ``to_dict()["max_frames"]`` then has ``limit`` and ``reached``.
+            ``None`` is no limit.
         progress: called with a line of text at every step.
         say: the old name of ``progress``; goes with the next release.
 
@@ -78,12 +82,19 @@ def find_gap(
             2,
         )
         progress = progress or say
+    if max_frames is not None:
+        check_at_least("max_frames", max_frames, 1, unit="frames", owner="find_gap")
     broken = [finding for finding in diagnose(study) if finding.level == "error"]
     if broken:
         raise TorchweatherError(f"find_gap: not enough data to decide: {broken[0].what} {broken[0].advice}")
     # Sums must not depend on the number of threads.
     with one_thread_an_operation():
         model = MODELS[study.kind](with_parts_ignored(study, ignore_parts), options, model_effects, effects or ())
-        result = find_gap_with(model, effects, seed, progress or (lambda text: None))
+        result = find_gap_with(model, effects, seed, progress or (lambda text: None), max_frames)
     report = gap_report(result, study.sha256, seed)
-    return replace(report, answer={**report.answer, "ignored_parts": list(ignore_parts)}) if ignore_parts else report
+    asked: dict[str, Any] = {}
+    if ignore_parts:
+        asked["ignored_parts"] = list(ignore_parts)
+    if max_frames is not None:
+        asked["max_frames"] = {"limit": max_frames, "reached": result.search.exhausted}
+    return replace(report, answer={**report.answer, **asked}) if asked else report

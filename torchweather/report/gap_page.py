@@ -77,7 +77,7 @@ def gap_page(study: Study, report: GapReport, *, effects: Sequence[str] | None =
     answer, findings = report.to_dict(), diagnose(study)
     searched = [name for name in answer["catalogue"] if effects is None or name in effects]
     nothing = answer["verdict"] == "none"
-    sections = [Section("Where", [*_where(study, report, answer), *_confined(searched, effects), *_ignored(answer)])]
+    sections = [Section("Where", [*_where(study, report, answer), *_confined(searched, effects), *_limits(answer)])]
     if not nothing:
         sections += [what_section(answer, searched, study), ranking_section(answer, report.responses)]
     if report.residuals is not None:
@@ -169,13 +169,17 @@ def _confined(searched: Sequence[str], effects: Sequence[str] | None) -> list[pa
     return [parts.Alert(text)]
 
 
-def _ignored(answer: Mapping[str, Any]) -> list[parts.Part]:
-    """A warning where parts of the picture were said to be no change of the scene."""
-    names = answer.get("ignored_parts", [])
-    if not names:
-        return []
-    text = f"Parts of the picture that may have changed were ignored: {', '.join(names)}. The search counts them."
-    return [parts.Alert(text)]
+def _limits(answer: Mapping[str, Any]) -> list[parts.Part]:
+    """Warnings where parts of the picture were said to be no change of the scene, or the search ended early."""
+    found: list[parts.Part] = []
+    if names := answer.get("ignored_parts", []):
+        text = f"Parts of the picture that may have changed were ignored: {', '.join(names)}. The search counts them."
+        found.append(parts.Alert(text))
+    asked = answer.get("max_frames", {})
+    if asked.get("reached", False):
+        text = f"The search stopped at its limit of {asked['limit']:,} simulated frames."
+        found.append(parts.Alert(f"{text} Effects that were not tried may explain as much, or something besides."))
+    return found
 
 
 def _map(report: GapReport) -> Section:

@@ -89,7 +89,7 @@ def test_a_fit_is_taken_up_with_the_scatter_where_it_stands(misfits: list[float]
         number = len(asked)
         return SimpleNamespace(point=f"point {number}", base=f"base {number}", misfit=misfits[number - 1])
 
-    search: Any = SimpleNamespace(fit=fit, nuisance=lambda point, base: ("nuisance", point, base))
+    search: Any = SimpleNamespace(fit=fit, nuisance=lambda point, base: ("nuisance", point, base), exhausted=False)
     start: Any = SimpleNamespace(point="point 0", base="base 0", misfit=100.0)
     assert _refined(search, start).misfit == best
     assert asked == [f"point {number}" for number in range(rounds)]

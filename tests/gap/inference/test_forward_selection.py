@@ -22,9 +22,9 @@ from torchweather.gap.find import find_gap
 from torchweather.gap.inference.candidate_fits import (
     Candidate,
     _start,
-    best_pairs,
     best_templates,
     hidden_templates,
+    pairs_from_rest,
     unscaled_templates,
 )
 from torchweather.gap.inference.config import METHOD
@@ -139,6 +139,67 @@ def test_no_more_than_so_many_effects_are_named() -> None:
     result = searched((NOISE, 0.3), (BIAS, -0.5), (WINDOW, 0.5), (EXTINCTION, 0.5))
     assert len(found_in(result)) == METHOD.max_effects
     assert result.verdict in ("named_and_rest", "unknown")
+
+
+def test_a_limit_of_frames_ends_the_search_with_what_was_fitted_first() -> None:
+    """Three effects take some thousand frames; with the limit in the midst of them the first one is still named."""
+    hidden = [effect(WINDOW, 0.5), effect(EXTINCTION, 0.4), effect(BIAS, -0.5)]
+    whole = find_gap_with(LinearSimulator(hidden), max_frames=10**6)
+    assert not whole.search.exhausted
+    assert found_in(whole) == found_in(find_gap_with(LinearSimulator(hidden)))
+    short = find_gap_with(LinearSimulator(hidden), max_frames=1)
+    assert short.search.exhausted
+    assert short.search.simulated_frames < 0.7 * whole.search.simulated_frames
+    assert len(short.rounds) == 1
+    assert len(short.rounds[0]) == 1
+
+
+def test_pairs_start_from_rest_whatever_the_record_was_led_to() -> None:
+    hidden = [effect(NOISE, 0.5), effect(EXTINCTION, 0.5)]
+    search = likelihood_of(LinearSimulator(hidden, record=0.15))
+    base = search.begin()
+    assert any(base.point.log_intensity.values())
+    templates = run_global_test(search, [EFFECTS[name] for name in DIRECTIONS], base, 0).templates
+    proposed = pairs_from_rest(search, base, templates, 30.0)
+    assert {NOISE, EXTINCTION} in [{*point.values, other.id} for point, other, _ in proposed]
+    for point, _, amplitude in proposed:
+        assert amplitude > 0.0
+        assert not point.log_intensity
+        assert not point.open
+
+
+@pytest.mark.parametrize(("share", "simulated"), [(1.0, 1), (0.25, 4)])
+def test_a_step_is_doubled_only_where_the_least_lies_beyond_it(
+    share: float, simulated: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From 0.1 units to the least at 0.5, at once or by a quarter: four quarters are the least, eight are too many.
+
+    A linear simulator that promised its least behind the step would fall by half of the slope times the step.
+    """
+    search = likelihood_of(LinearSimulator([effect(WINDOW, 0.5)]))
+    base = search.begin()
+    name = (WINDOW, "loss_db")
+
+    def at(strength: float) -> ParameterPoint:
+        return replace(search.origin, values={WINDOW: {"loss_db": strength}})
+
+    def cost(strength: float) -> float:
+        return base.nuisance.cost(search.departure(base.base, search.mean(at(strength))))
+
+    costs = np.array([cost(strength) for strength in (0.0, 0.1, 0.2)])
+    curvature = 0.5 * float(np.diff(costs, 2)[0]) / 0.01
+    least = 0.1 - (costs[2] - costs[0]) / 0.2 / (2.0 * curvature)
+    assert least == pytest.approx(0.5, abs=0.02)
+    step = share * (least - 0.1)
+    promised = curvature * (least - 0.1) * step
+    means: list[float] = []
+    mean = search.mean
+    monkeypatch.setattr(search, "mean", lambda *given: means.append(0.0) or mean(*given))
+    nothing = np.zeros(len(base.nuisance.offset))
+    found = search._along(at(0.1), [name], np.array([step]), nothing, cost(0.1), promised, base.base, base.nuisance)
+    assert found is not None
+    assert found[1].values[WINDOW]["loss_db"] == pytest.approx(least, abs=0.02)
+    assert len(means) - 1 == simulated  # and one for the cost at the start
 
 
 @pytest.mark.parametrize("beside", [NOISE, EXTINCTION])
@@ -465,16 +526,6 @@ def test_what_something_open_may_stand_for_is_what_looks_most_like_what_it_has_d
     (first, amplitude), *others = found
     assert (first.id, amplitude) == ("lidar.crosstalk", 1.35)  # twice its response, but no farther than that
     assert [expected for _, expected in others] == [0.0, 0.0]  # a window would do the opposite
-
-
-def test_pairs_are_of_different_effects_each_once_best_first() -> None:
-    gain = np.array([[9.0, 9.0, 5.0, 7.0], [9.0, 9.0, 6.0, 3.0], [5.0, 6.0, 9.0, 1.0], [7.0, 3.0, 1.0, 9.0]])
-    found = best_pairs(TEMPLATES, gain, ParameterPoint(), 2.0)
-    assert [{*point.values, other.id} for point, other, _ in found] == [
-        {"lidar.window_loss", "lidar.crosstalk"},
-        {"lidar.window_loss", "lidar.range_noise"},
-    ]
-    assert best_pairs(TEMPLATES, gain, ParameterPoint(), 8.0) == []
 
 
 @pytest.mark.parametrize(

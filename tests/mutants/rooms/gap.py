@@ -5,11 +5,37 @@ from __future__ import annotations
 from tests.mutants.mutant import Mutant
 
 RESIDUAL = "torchweather.gap.inference.residual_tests"
+EFFECT_SETS = "tests/gap/inference/test_effect_sets.py"
+SELECTION = "tests/gap/inference/test_forward_selection.py"
 RANDOM_EFFECTS = "torchweather.gap.statistics.frame_random_effects"
 FORMULA = "torchweather.gap.statistics.formula"
 CAMERA_FRAMES = "tests/gap/sensors/camera/test_camera_frames.py"
 
 MUTANTS = (
+    Mutant(
+        "pairs_scored_without_bounds",
+        "nuisances stay within their bounds beside a pair of effects",
+        "torchweather.gap.inference.effect_sets",
+        "low - nuisance.offset, high - nuisance.offset",
+        "low - np.inf, high + np.inf",
+        (f"{EFFECT_SETS}::test_a_pair_that_needs_a_record_far_off_stays_behind_within_bounds",),
+    ),
+    Mutant(
+        "pairs_from_where_the_record_was_led_to",
+        "pairs of effects are fitted from rest",
+        "torchweather.gap.inference.candidate_fits",
+        "found.append((ParameterPoint({first.id: _start(first, amplitude)}), second, other))",
+        "found.append((replace(base.point, values={first.id: _start(first, amplitude)}), second, other))",
+        ("tests/gap/inference/test_forward_selection.py::test_pairs_start_from_rest_whatever_the_record_was_led_to",),
+    ),
+    Mutant(
+        "steps_never_doubled",
+        "a step is doubled where the least of the parabola lies beyond it",
+        "torchweather.gap.inference.likelihood",
+        "cost - best[0] < SHORT * promised",
+        "cost > best[0]",
+        (f"{SELECTION}::test_a_step_is_doubled_only_where_the_least_lies_beyond_it",),
+    ),
     Mutant(
         "compiled_sums_of_no_squares",
         "compiled sums of a LiDAR frame hold the squares of the range's residuals",

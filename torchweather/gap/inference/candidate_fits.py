@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import is_another
+from torchweather.gap.inference.effect_sets import BoundedMisfit, best_effect_pairs
 from torchweather.gap.inference.held_out import HeldOut
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.location_search import located
@@ -27,9 +28,9 @@ __all__ = [
     "Candidate",
     "Proposal",
     "best_templates",
-    "best_pairs",
     "fitted",
     "hidden_templates",
+    "pairs_from_rest",
     "scattering",
     "stands_far",
     "unscaled_templates",
@@ -125,23 +126,20 @@ def hidden_templates(
     ]
 
 
-def best_pairs(
-    templates: Sequence[ResponseTemplate], gain: Floats, origin: ParameterPoint, least: float
+def pairs_from_rest(
+    search: SimulatorLikelihood, base: Fit, templates: Sequence[ResponseTemplate], least: float
 ) -> list[Proposal]:
-    """Pairs of different effects whose responses explain more than ``least`` together, best first."""
-    first, second = np.unravel_index(np.argsort(-gain, axis=None), gain.shape)
-    found: dict[frozenset[str], Proposal] = {}
-    for one, other in zip(first, second, strict=True):
-        if gain[one, other] < least or len(found) == METHOD.pairs_refitted:
-            break
-        names = frozenset((templates[one].id, templates[other].id))
-        if len(names) == 2 and names not in found:
-            found[names] = (
-                replace(origin, values={templates[one].id: _start(templates[one], 1.0)}),
-                templates[other],
-                1.0,
-            )
-    return list(found.values())
+    """Pairs of effects that explain more than the best one by ``least``, best first, each to be fitted from rest.
+
+    At rest the record is right and nothing that the model leaves open has moved. What a wrong effect has led the
+    nuisances to is then no part of the start.
+    """
+    misfit = BoundedMisfit(base.residual, base.nuisance, *search.bounds(base.nuisance))
+    found = []
+    for pair in best_effect_pairs(templates, base.nuisance, misfit, least)[: METHOD.pairs_refitted]:
+        (first, second), (amplitude, other) = pair.templates, pair.amplitudes
+        found.append((ParameterPoint({first.id: _start(first, amplitude)}), second, other))
+    return found
 
 
 def scattering(
@@ -197,9 +195,12 @@ def stands_far(point: ParameterPoint) -> bool:
 def fitted(
     search: SimulatorLikelihood, base: Fit, proposed: Sequence[Proposal], misfit: float, progress: Callable[[str], None]
 ) -> list[Candidate]:
-    """Effects fitted in the simulator, each on top of its point; best first."""
-    found = []
+    """Effects fitted in the simulator, each on top of its point; best first. One at least, and no further one once as
+    many frames were simulated as may be."""
+    found: list[Candidate] = []
     for place, (point, template, amplitude) in enumerate(proposed):
+        if found and search.exhausted:
+            break
         progress("fitting " + " and ".join([*point.values, template.id]))
         values = {**point.values, template.id: _start(template, amplitude)}
         starts = [(replace(point, values=values), base.nuisance)]
@@ -230,6 +231,8 @@ def fitted(
 def _refined(search: SimulatorLikelihood, fit: Fit) -> Fit:
     """Fitted on, with the scatter and the nuisances as they are where the fit stands, while that helps."""
     for _ in range(METHOD.reweightings):
+        if search.exhausted:
+            break
         found = search.fit(fit.point, search.nuisance(fit.point, fit.base), fit.base)
         gained = fit.misfit - found.misfit
         fit = found if gained > 0 else fit

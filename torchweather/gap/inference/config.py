@@ -32,7 +32,7 @@ class InferenceConfig:
     unexplained_gap: float = 10.0  # held-out gap over its floor above which the selection counts as nothing found
 
     # ---- Fits of candidates ----
-    pairs_refitted: int = 2  # pairs of effects that are fitted
+    pairs_refitted: int = 4  # pairs of effects that are fitted
     reweightings: int = 3  # fits that are repeated with the scatter at their own result
     refit_share: float = 0.5  # of the largest delta chi-square, from which a candidate is fitted
     threshold_amplitude: float = 0.3  # of a response below which an effect with a threshold stays below it

@@ -25,10 +25,10 @@ from torchweather.gap.inference.candidate_fits import (
     PROFILED_BESIDE,
     Candidate,
     Proposal,
-    best_pairs,
     best_templates,
     fitted,
     hidden_templates,
+    pairs_from_rest,
     scattering,
     stands_far,
     unscaled_templates,
@@ -41,7 +41,7 @@ from torchweather.gap.inference.held_out import HeldOut, held_out
 from torchweather.gap.inference.insensitive_statistics import fresh_delta_chi2, insensitive_statistics
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.model_error import explained_beside, response_of
-from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2, pair_delta_chi2
+from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
 from torchweather.gap.inference.simulated_distribution import FrameModel, observations
 from torchweather.stages.catalogue import EFFECTS
 
@@ -58,6 +58,7 @@ ADDED_SHARE, ADDED_SHARE_SURE, OF_THE_RESIDUAL = 0.03, 0.1, 0.6
 # explains elsewhere; an alarm is beyond noise already: they must not speak against its effect. One that explains more
 # than SURE_GAIN they may, by so much of the remainder: where they hardly show it.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
+LEFT_BY_NOISE = 0.1  # probability of a misfit as large, from which one effect leaves nothing for a pair to explain
 RESIDUAL_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left as a residual in such statistics
 # And from which, with so much of its square over the floor's left, what was found is not what is missing.
 UNKNOWN_GAP, UNKNOWN_HELD = 2.5, 0.05
@@ -103,6 +104,7 @@ def find_gap_with(
     effects: Sequence[str] | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda text: None,
+    max_frames: int | None = None,
 ) -> GapResult:
     """Run the workflow with a model of a sensor's frames."""
     started = time.perf_counter()
@@ -124,7 +126,7 @@ def find_gap_with(
     progress("clear frames against clear frames")
     clear = tuple(clear_air(model, seed))
     progress("simulating the conditions as they are")
-    search = SimulatorLikelihood(model, observations(model, model.fit), seed)
+    search = SimulatorLikelihood(model, observations(model, model.fit), seed, max_frames=max_frames)
     base = search.begin()
     if counted_entries(search) < METHOD.min_entries:
         raise TorchweatherError(
@@ -217,20 +219,17 @@ def _rounds(
         earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
         if earlier_held is not None and earlier_held.misfit - after.misfit < HELD_GAIN:
             return rounds[:-1]
-        if len(values) == METHOD.max_effects:
+        if len(values) == METHOD.max_effects or search.exhausted:
             return rounds
         remaining = _remaining_templates(search, global_test, best)
         sure = max(threshold, excess) if significant else math.inf
         pairs: list[Proposal] = []
-        if len(rounds) == 1:
+        if len(rounds) == 1 and not _leaves_noise(global_test, best.fit):
             # While the responses around the base still say something: pairs of any two.
             templates = _beside(search, global_test)
             if templates:
-                residual = base.nuisance.left(base.residual)
-                gain = pair_delta_chi2(templates, residual, base.nuisance)
                 # Responses are compared with responses: a single that was fitted may have bent a nuisance to its end.
-                alone = float(delta_chi2(templates, residual[None], base.nuisance).max())
-                pairs = best_pairs(templates, gain, search.origin, alone + threshold)
+                pairs = pairs_from_rest(search, base, templates, threshold)
         fresh, proposed = _on_top(search, remaining, best, least, threshold, sure)
         if pairs:
             proposed = [*(proposed or _best_on_top(best, remaining)), *pairs]
@@ -270,6 +269,7 @@ def _fitted_on_top(
         others = [template for template in remaining if template.id not in {one.id for one in found}]
         if (
             not others
+            or search.exhausted
             or gained >= promised
             or delta_chi2(others, left[None], nuisance).max() < max(METHOD.refit_share * gained, threshold)
         ):
@@ -290,6 +290,13 @@ def _without_idle(search: SimulatorLikelihood, added: Candidate, threshold: floa
         if without.misfit - added.fit.misfit < threshold:
             fit = without
     return fit
+
+
+def _leaves_noise(global_test: GlobalTest, fit: Fit) -> bool:
+    """True where a fit leaves what noise may well leave, with nothing that is left open far off."""
+    if stands_far(fit.point) or fit.misfit > np.quantile(global_test.misfit_null, 1.0 - LEFT_BY_NOISE):
+        return False
+    return global_test.residual_test.p_value(fit.nuisance.left(fit.residual)) >= METHOD.residual_p
 
 
 def _earns(search: SimulatorLikelihood, best: Candidate, added: Candidate, fresh: float, least: float) -> bool:

@@ -46,6 +46,9 @@ Floats = NDArray[np.float64]
 INTENSITY_STEP, LEAST_INTENSITY_STEP = 0.5, 0.005
 WEAK_STEP, LEAST_STEP = 0.5, 2e-3  # at most of a weak parameter's departure from its identity; at least of that size
 SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how far one is doubled
+# Of the decrease that a linear simulator promises: one that is larger by a fifth puts the least of the parabola a
+# quarter beyond the step, 1 / (2 - 1.2).
+SHORT = 1.2
 STALLED, STALLED_SHARE = 0.5, 1e-3  # of the cost, and its share, below which a step does not count
 
 
@@ -100,12 +103,18 @@ class SimulatorLikelihood:
         measured: the conditions to be explained.
         seed: of everything random.
         pool_frames: simulated frames of each condition.
+        max_frames: number of simulated frames from which no further candidate is fitted.
     """
 
     def __init__(
-        self, model: FrameModel, measured: Sequence[Observation], seed: int, pool_frames: int = METHOD.pool_frames
+        self,
+        model: FrameModel,
+        measured: Sequence[Observation],
+        seed: int,
+        pool_frames: int = METHOD.pool_frames,
+        max_frames: int | None = None,
     ) -> None:
-        self.model, self.measured, self.seed = model, list(measured), seed
+        self.model, self.measured, self.seed, self.max_frames = model, list(measured), seed, max_frames
         self.least_frames = max((target.frames for target in measured), default=1)
         self.pool_frames = max(pool_frames, 2 * self.least_frames)
         self.kept = self._nothing_kept()
@@ -134,6 +143,11 @@ class SimulatorLikelihood:
     def simulated_frames(self) -> int:
         """Number of frames that were simulated."""
         return self._portioned_frames + sum(one.simulated for one in self.kept.values())
+
+    @property
+    def exhausted(self) -> bool:
+        """True where as many frames were simulated as the search may simulate."""
+        return self.max_frames is not None and self.simulated_frames >= self.max_frames
 
     def begin(self) -> Fit:
         """Fit the nuisances of the model as it is; the search then starts from there."""
@@ -321,6 +335,14 @@ class SimulatorLikelihood:
         opened = np.array([point.open.get(name, 0.0) for name in self.open])
         return np.concatenate([intensities, opened, np.zeros(len(self.fixed))])
 
+    def bounds(self, nuisance: Systematics) -> tuple[Floats, Floats]:
+        """Where nuisances may stand ``(K,)``, in standard deviations; those that no simulator moves may anywhere."""
+        number = len(self.measured)
+        low, high = np.full(len(nuisance.offset), -np.inf), np.full(len(nuisance.offset), np.inf)
+        low[: nuisance.moving], high[: nuisance.moving] = -METHOD.nuisance_bound_sd, METHOD.nuisance_bound_sd
+        low[number : nuisance.moving] = np.maximum(low[number : nuisance.moving], list(self.open.values()))
+        return low, high
+
     def shifted(self, point: ParameterPoint, step: Floats) -> ParameterPoint:
         """A point with its nuisances moved by a step ``(K,)``."""
         sd, number = self.intensity_sd(), len(self.measured)
@@ -428,7 +450,8 @@ class SimulatorLikelihood:
         residual = self.departure(base, self.mean(point))
         cost = nuisance.cost(residual)
         for _ in range(rounds):
-            found = self._along(point, (), np.zeros(0), nuisance.step(residual), cost, base, nuisance)
+            promised = cost - nuisance.misfit(residual)
+            found = self._along(point, (), np.zeros(0), nuisance.step(residual), cost, promised, base, nuisance)
             if found is None:
                 break
             gained = cost - found[0]
@@ -513,8 +536,9 @@ class SimulatorLikelihood:
             ridge = 1e-3 * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(names))
             step: Floats = np.asarray(np.linalg.solve(normal + ridge, jacobian.T @ here.left(residual)))
             covariance = np.asarray(np.linalg.pinv(normal + 1e-9 * np.eye(len(names))), dtype=np.float64)
-            aside = here.step(residual - jacobian @ step)
-            found = self._along(point, names, step, aside, cost, base, here)
+            linear = residual - jacobian @ step
+            promised = cost - here.misfit(linear)
+            found = self._along(point, names, step, here.step(linear), cost, promised, base, here)
             gained = 0.0
             if found is not None:
                 gained = cost - found[0]
@@ -559,13 +583,24 @@ class SimulatorLikelihood:
         step: Floats,
         aside: Floats,
         cost: float,
+        promised: float,
         base: SimulatedDistribution,
         nuisance: Systematics,
     ) -> tuple[float, ParameterPoint, list[Floats]] | None:
         """The best of a few shares of a step that cost less than before: cost, point and mean vectors there.
 
-        Where the whole step helps it is doubled while that helps: along a valley in which an effect and the record say
-        nearly the same, a step from finite differences is short.
+        Along a valley in which an effect and the record say nearly the same, a step from finite differences is short.
+        A parabola through the cost before, its slope there and the cost behind the whole step says whether: where its
+        least lies beyond the step, the step is doubled while that helps.
+
+        Args:
+            point: to start from.
+            names: parameters that move.
+            step, aside: by how much they and the nuisances move.
+            cost: at the start.
+            promised: decrease of the cost that a linear simulator would show behind the whole step.
+            base: scatter.
+            nuisance: at the start.
         """
 
         def tried(share: float) -> tuple[float, ParameterPoint, list[Floats]]:
@@ -579,8 +614,10 @@ class SimulatorLikelihood:
             if found[0] < cost - 1e-6:
                 best = found
                 break
+        if best is None or share != SHARES[0] or cost - best[0] < SHORT * promised:
+            return best
         longer = 2.0
-        while best is not None and longer <= LONGEST and share == SHARES[0]:
+        while longer <= LONGEST:
             found = tried(longer)
             if found[0] >= best[0]:
                 break
