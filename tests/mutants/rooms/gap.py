@@ -32,7 +32,7 @@ MUTANTS = (
         "steps_never_doubled",
         "a step is doubled where the least of the parabola lies beyond it",
         "torchweather.gap.inference.likelihood",
-        "cost - best[0] < SHORT * promised",
+        "cost - best[0] < METHOD.doubled_from * promised",
         "cost > best[0]",
         (f"{SELECTION}::test_a_step_is_doubled_only_where_the_least_lies_beyond_it",),
     ),

@@ -32,7 +32,10 @@ class InferenceConfig:
     unexplained_gap: float = 10.0  # held-out gap over its floor above which the selection counts as nothing found
 
     # ---- Fits of candidates ----
-    pairs_refitted: int = 4  # pairs of effects that are fitted
+    # Pairs of effects that are scored within the bounds of the nuisances, the best ones without them; and fitted.
+    pairs_screened: int = 60
+    pairs_refitted: int = 4
+    left_by_noise: float = 0.1  # probability of a misfit as large, from which one effect leaves a pair nothing
     reweightings: int = 3  # fits that are repeated with the scatter at their own result
     refit_share: float = 0.5  # of the largest delta chi-square, from which a candidate is fitted
     threshold_amplitude: float = 0.3  # of a response below which an effect with a threshold stays below it
@@ -49,6 +52,9 @@ class InferenceConfig:
     systematic_step_sd: float = 2.0  # of a derivative by a systematic: a smaller step changes too few particles
     angle_step_rad: float = 0.025  # least step of a derivative by an angle: about one column
     derivative_step: float = 0.05  # over the typical size of a parameter
+    # Decrease behind a step over the one that a linear simulator promises, from which the step is doubled: the least of
+    # a parabola is then a quarter beyond it, 1 / (2 - 1.2).
+    doubled_from: float = 1.2
     max_iterations: int = 10  # Gauss-Newton steps of a fit
     nuisance_rounds: int = 10  # Gauss-Newton steps of the nuisances alone
     converged_chi2: float = 3.0  # gain below which one more of those steps is not worth its frames

@@ -29,8 +29,6 @@ __all__ = ["BoundedMisfit", "EffectSet", "best_effect_pairs"]
 
 Floats = NDArray[np.float64]
 
-SCREENED = 60  # pairs of effects that are scored within the bounds of the nuisances: the best ones without them
-
 
 @dataclass(frozen=True)
 class EffectSet:
@@ -96,7 +94,7 @@ def best_effect_pairs(
     names = np.array([template.id for template in templates])
     best: dict[frozenset[str], tuple[int, int]] = {}
     for one, other in zip(*np.unravel_index(np.argsort(-gain, axis=None), gain.shape), strict=True):
-        if names[one] != names[other] and len(best) < SCREENED:
+        if names[one] != names[other] and len(best) < METHOD.pairs_screened:
             best.setdefault(frozenset((names[one], names[other])), (int(one), int(other)))
     places = {place for pair in best.values() for place in pair}
     alone = {place: misfit.alone - misfit([templates[place].response])[0] for place in places}

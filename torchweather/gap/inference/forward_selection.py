@@ -58,7 +58,6 @@ ADDED_SHARE, ADDED_SHARE_SURE, OF_THE_RESIDUAL = 0.03, 0.1, 0.6
 # explains elsewhere; an alarm is beyond noise already: they must not speak against its effect. One that explains more
 # than SURE_GAIN they may, by so much of the remainder: where they hardly show it.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
-LEFT_BY_NOISE = 0.1  # probability of a misfit as large, from which one effect leaves nothing for a pair to explain
 RESIDUAL_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left as a residual in such statistics
 # And from which, with so much of its square over the floor's left, what was found is not what is missing.
 UNKNOWN_GAP, UNKNOWN_HELD = 2.5, 0.05
@@ -294,7 +293,7 @@ def _without_idle(search: SimulatorLikelihood, added: Candidate, threshold: floa
 
 def _leaves_noise(global_test: GlobalTest, fit: Fit) -> bool:
     """True where a fit leaves what noise may well leave, with nothing that is left open far off."""
-    if stands_far(fit.point) or fit.misfit > np.quantile(global_test.misfit_null, 1.0 - LEFT_BY_NOISE):
+    if stands_far(fit.point) or fit.misfit > np.quantile(global_test.misfit_null, 1.0 - METHOD.left_by_noise):
         return False
     return global_test.residual_test.p_value(fit.nuisance.left(fit.residual)) >= METHOD.residual_p
 

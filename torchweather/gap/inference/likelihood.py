@@ -46,9 +46,6 @@ Floats = NDArray[np.float64]
 INTENSITY_STEP, LEAST_INTENSITY_STEP = 0.5, 0.005
 WEAK_STEP, LEAST_STEP = 0.5, 2e-3  # at most of a weak parameter's departure from its identity; at least of that size
 SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how far one is doubled
-# Of the decrease that a linear simulator promises: one that is larger by a fifth puts the least of the parabola a
-# quarter beyond the step, 1 / (2 - 1.2).
-SHORT = 1.2
 STALLED, STALLED_SHARE = 0.5, 1e-3  # of the cost, and its share, below which a step does not count
 
 
@@ -614,7 +611,7 @@ class SimulatorLikelihood:
             if found[0] < cost - 1e-6:
                 best = found
                 break
-        if best is None or share != SHARES[0] or cost - best[0] < SHORT * promised:
+        if best is None or share != SHARES[0] or cost - best[0] < METHOD.doubled_from * promised:
             return best
         longer = 2.0
         while longer <= LONGEST:
