@@ -22,6 +22,7 @@ from torchweather.gap.find import find_gap
 from torchweather.gap.inference.candidate_fits import (
     Candidate,
     _start,
+    best_of_each_set,
     best_templates,
     hidden_templates,
     pairs_from_rest,
@@ -160,12 +161,23 @@ def test_pairs_start_from_rest_whatever_the_record_was_led_to() -> None:
     base = search.begin()
     assert any(base.point.log_intensity.values())
     templates = run_global_test(search, [EFFECTS[name] for name in DIRECTIONS], base, 0).templates
-    proposed = pairs_from_rest(search, base, templates, 30.0)
+    one = replace(base, point=ParameterPoint({EXTINCTION: {}}))
+    proposed = pairs_from_rest(search, base, one, templates, 30.0)
     assert {NOISE, EXTINCTION} in [{*point.values, other.id} for point, other, _ in proposed]
+    assert EXTINCTION not in [other.id for _, other, _ in proposed]  # what is there already is not what is added
     for point, _, amplitude in proposed:
         assert amplitude > 0.0
         assert not point.log_intensity
         assert not point.open
+
+
+def test_a_set_that_was_fitted_twice_is_no_rival_of_itself() -> None:
+    fits = [
+        SimpleNamespace(misfit=misfit, point=ParameterPoint({key: {} for key in names}))
+        for misfit, names in ((5.0, (NOISE, WINDOW)), (4.0, (WINDOW, NOISE)), (9.0, (WINDOW, BIAS)), (6.0, (BIAS,)))
+    ]
+    found = best_of_each_set([Candidate(next(iter(one.point.values)), one, 1.0) for one in fits])
+    assert [one.fit.misfit for one in found] == [4.0, 6.0, 9.0]
 
 
 @pytest.mark.parametrize(("share", "simulated"), [(1.0, 1), (0.25, 4)])

@@ -27,6 +27,7 @@ __all__ = [
     "PROFILED_BESIDE",
     "Candidate",
     "Proposal",
+    "best_of_each_set",
     "best_templates",
     "fitted",
     "hidden_templates",
@@ -126,18 +127,36 @@ def hidden_templates(
     ]
 
 
+def best_of_each_set(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The best fit of each set of effects, best first: one that was fitted from two starts is no rival of itself."""
+    found: dict[frozenset[str], Candidate] = {}
+    for one in sorted(candidates, key=lambda one: one.fit.misfit):
+        found.setdefault(frozenset(one.fit.point.values), one)
+    return list(found.values())
+
+
 def pairs_from_rest(
-    search: SimulatorLikelihood, base: Fit, templates: Sequence[ResponseTemplate], least: float
+    search: SimulatorLikelihood, base: Fit, best: Fit, templates: Sequence[ResponseTemplate], least: float
 ) -> list[Proposal]:
     """Pairs of effects that explain more than the best one by ``least``, best first, each to be fitted from rest.
 
     At rest the record is right and nothing that the model leaves open has moved. What a wrong effect has led the
     nuisances to is then no part of the start.
+
+    Args:
+        search: its simulator.
+        base: the fit without effects.
+        best: the fit with one effect; of a pair with that one the other is what is added.
+        templates: responses around ``base``.
+        least: that a pair must gain over the best single one.
     """
     misfit = BoundedMisfit(base.residual, base.nuisance, *search.bounds(base.nuisance))
     found = []
     for pair in best_effect_pairs(templates, base.nuisance, misfit, least)[: METHOD.pairs_refitted]:
-        (first, second), (amplitude, other) = pair.templates, pair.amplitudes
+        members = sorted(
+            zip(pair.templates, pair.amplitudes, strict=True), key=lambda one: one[0].id not in best.point.values
+        )
+        (first, amplitude), (second, other) = members
         found.append((ParameterPoint({first.id: _start(first, amplitude)}), second, other))
     return found
 

@@ -25,6 +25,7 @@ from torchweather.gap.inference.candidate_fits import (
     PROFILED_BESIDE,
     Candidate,
     Proposal,
+    best_of_each_set,
     best_templates,
     fitted,
     hidden_templates,
@@ -228,7 +229,7 @@ def _rounds(
             templates = _beside(search, global_test)
             if templates:
                 # Responses are compared with responses: a single that was fitted may have bent a nuisance to its end.
-                pairs = pairs_from_rest(search, base, templates, threshold)
+                pairs = pairs_from_rest(search, base, best.fit, templates, threshold)
         fresh, proposed = _on_top(search, remaining, best, least, threshold, sure)
         if pairs:
             proposed = [*(proposed or _best_on_top(best, remaining)), *pairs]
@@ -275,7 +276,7 @@ def _fitted_on_top(
             break
         template, amplitude = best_templates(others, left, nuisance)[0]
         found += fitted(search, base, [(best.fit.point, template, amplitude)], best.fit.misfit, progress)
-    return sorted(found, key=lambda one: one.fit.misfit)
+    return best_of_each_set(found)
 
 
 def _without_idle(search: SimulatorLikelihood, added: Candidate, threshold: float) -> Fit:
