@@ -24,6 +24,7 @@ from torchweather.gap.inference.starting_points import parameter_grids
 from torchweather.gap.inference.systematics import Systematics
 
 __all__ = [
+    "CLOSE",
     "PROFILED_BESIDE",
     "Candidate",
     "Proposal",

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.gap.inference.candidate_fits import (
+    CLOSE,
     PROFILED_BESIDE,
     Candidate,
     Proposal,
@@ -236,7 +237,13 @@ def _rounds(
         if not proposed:
             return rounds
         more = _fitted_on_top(search, base, best, remaining, proposed, threshold, progress)
-        kept = [one for one in more if _earns(search, best, one, fresh.get(one.id, math.inf), least)]
+        kept: list[Candidate] = []
+        for one in more:
+            # What lies far behind one that earned its place is no rival of it.
+            if kept and one.fit.misfit > kept[0].fit.misfit + CLOSE:
+                break
+            if _earns(search, best, one, fresh.get(one.id, math.inf), least):
+                kept.append(one)
         if not kept:
             return rounds
         needful = _without_idle(search, kept[0], threshold)
