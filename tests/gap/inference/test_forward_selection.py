@@ -48,7 +48,7 @@ from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikel
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
 from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
-from torchweather.gap.inference.systematics import Systematics
+from torchweather.gap.inference.systematics import BoundedStep, Systematics
 from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS, LidarWindowLoss
@@ -203,12 +203,12 @@ def test_a_step_is_doubled_only_where_the_least_lies_beyond_it(
     least = 0.1 - (costs[2] - costs[0]) / 0.2 / (2.0 * curvature)
     assert least == pytest.approx(0.5, abs=0.02)
     step = share * (least - 0.1)
-    promised = curvature * (least - 0.1) * step
+    left = cost(0.1) - curvature * (least - 0.1) * step
     means: list[float] = []
     mean = search.mean
     monkeypatch.setattr(search, "mean", lambda *given: means.append(0.0) or mean(*given))
-    nothing = np.zeros(len(base.nuisance.offset))
-    found = search._along(at(0.1), [name], np.array([step]), nothing, cost(0.1), promised, base.base, base.nuisance)
+    whole = BoundedStep(np.array([step]), np.zeros(len(base.nuisance.offset)), left)
+    found = search._along(at(0.1), [name], whole, cost(0.1), base.base, base.nuisance)
     assert found is not None
     assert found[1].values[WINDOW]["loss_db"] == pytest.approx(least, abs=0.02)
     assert len(means) - 1 == simulated  # and one for the cost at the start

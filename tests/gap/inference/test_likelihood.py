@@ -289,12 +289,13 @@ def test_a_thing_is_found_on_the_better_side() -> None:
         )
         return {(True, False): 1.0, (False, True): 100.0, (True, True): 101.0, (False, False): 102.0}[near, far]
 
-    base: Any = SimpleNamespace(base=None, nuisance=SimpleNamespace(moved=lambda offset: SimpleNamespace(misfit=cost)))
+    base: Any = SimpleNamespace(base=None, nuisance=SimpleNamespace(moved=lambda offset: None))
     search: Any = SimpleNamespace(
         model=SimpleNamespace(forms={}),
         offset=lambda point: None,
         mean=lambda point, frames: point.values[name],
         departure=lambda scatter, mean: mean,
+        misfit=lambda values, nuisance: cost(values),
     )
     assert cost(start) > cost({**start, "azimuth_rad": 0.565}) > cost({**start, "azimuth_rad": 0.515})
     found = located(search, ParameterPoint({name: start}), name, base).values[name]

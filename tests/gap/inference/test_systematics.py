@@ -10,7 +10,7 @@ import pytest
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.response_templates import ResponseTemplate, amplitudes, delta_chi2, pair_delta_chi2
 from torchweather.gap.inference.starting_points import ParameterGrid
-from torchweather.gap.inference.systematics import Systematics, together
+from torchweather.gap.inference.systematics import Bounds, Systematics, bounded_step, together
 from torchweather.lidar.effects.all import EFFECTS
 
 RNG = np.random.default_rng
@@ -218,3 +218,37 @@ def test_two_halves_of_a_residual_are_found_together() -> None:
     pair = pair_delta_chi2(templates([first, second]), residual, one)[0, 1]
     assert pair == pytest.approx(float(residual @ residual), rel=1e-9)
     assert single.max() < 0.1 * pair
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_step_within_bounds_leaves_the_least_of_all_on_a_grid(seed: int) -> None:
+    """Two amplitudes in steps of 0.0135, one nuisance in steps of 0.02 that may go from -1 to 0.5."""
+    generator = RNG(seed)
+    columns, response = generator.normal(size=(6, 2)), generator.normal(size=(6, 1))
+    residual = columns @ np.array([0.5, 1.0]) + 3.0 * response[:, 0]
+    limits, bounds = Bounds(np.zeros(2), np.full(2, 1.35)), Bounds(np.array([-1.0]), np.array([0.5]))
+    found = bounded_step(residual, Systematics(response, np.array([0.2]), 1), bounds, columns, limits)
+    first, second, stands = np.meshgrid(*2 * [np.linspace(0.0, 1.35, 101)], np.linspace(-1.0, 0.5, 76), indexing="ij")
+    left = residual - first[..., None] * columns[:, 0] - second[..., None] * columns[:, 1]
+    costs = ((left - (stands - 0.2)[..., None] * response[:, 0]) ** 2).sum(-1) + stands**2
+    # Half a step off in each of three directions costs at most the curvature there.
+    curvature = (columns**2).sum() * 0.0135**2 + ((response**2).sum() + 1.0) * 0.02**2
+    assert found.misfit - 1e-9 <= costs.min() <= found.misfit + curvature
+    assert (found.amplitudes >= 0.0).all()
+    assert (found.amplitudes <= 1.35).all()
+    assert -1.0 <= 0.2 + found.aside[0] <= 0.5
+
+
+@pytest.mark.parametrize("ridge", [0.0, 0.5])
+def test_a_step_within_wide_bounds_is_that_of_the_normal_equations(ridge: float) -> None:
+    generator = RNG(4)
+    nuisance = Systematics(generator.normal(size=(20, 5)), generator.normal(size=5), 5, together(5, 3))
+    columns, residual = generator.normal(size=(20, 2)) * [1.0, 1e-4], generator.normal(size=20)
+    wide = Bounds(np.full(5, -1e9), np.full(5, 1e9)), columns, Bounds(np.full(2, -1e9), np.full(2, 1e9))
+    held = ridge * np.sqrt((columns**2).sum(0))
+    found = bounded_step(residual, nuisance, *wide, held)
+    normal = columns.T @ nuisance(columns.T).T + np.diag(held**2)
+    expected = np.linalg.solve(normal, columns.T @ nuisance.left(residual))
+    assert found.amplitudes == pytest.approx(expected, rel=1e-6)
+    assert found.aside == pytest.approx(nuisance.step(residual - columns @ expected), rel=1e-6)
+    assert found.misfit == pytest.approx(nuisance.misfit(residual - columns @ expected), rel=1e-9)

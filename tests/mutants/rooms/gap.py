@@ -15,9 +15,9 @@ MUTANTS = (
     Mutant(
         "pairs_scored_without_bounds",
         "nuisances stay within their bounds beside a pair of effects",
-        "torchweather.gap.inference.effect_sets",
-        "low - nuisance.offset, high - nuisance.offset",
-        "low - np.inf, high + np.inf",
+        "torchweather.gap.inference.systematics",
+        "[limits.high, bounds.high - nuisance.offset]",
+        "[limits.high, bounds.high + np.inf]",
         (f"{EFFECT_SETS}::test_a_pair_that_needs_a_record_far_off_stays_behind_within_bounds",),
     ),
     Mutant(
@@ -32,7 +32,7 @@ MUTANTS = (
         "steps_never_doubled",
         "a step is doubled where the least of the parabola lies beyond it",
         "torchweather.gap.inference.likelihood",
-        "cost - best[0] < METHOD.doubled_from * promised",
+        "cost - best[0] < METHOD.doubled_from * (cost - step.misfit)",
         "cost > best[0]",
         (f"{SELECTION}::test_a_step_is_doubled_only_where_the_least_lies_beyond_it",),
     ),

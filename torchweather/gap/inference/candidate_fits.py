@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import is_another
-from torchweather.gap.inference.effect_sets import BoundedMisfit, best_effect_pairs
+from torchweather.gap.inference.effect_sets import best_effect_pairs
 from torchweather.gap.inference.held_out import HeldOut
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.location_search import located
@@ -151,9 +151,9 @@ def pairs_from_rest(
         templates: responses around ``base``.
         least: that a pair must gain over the best single one.
     """
-    misfit = BoundedMisfit(base.residual, base.nuisance, *search.bounds(base.nuisance))
     found = []
-    for pair in best_effect_pairs(templates, base.nuisance, misfit, least)[: METHOD.pairs_refitted]:
+    scored = best_effect_pairs(templates, base.residual, base.nuisance, search.bounds(base.nuisance), least)
+    for pair in scored[: METHOD.pairs_refitted]:
         members = sorted(
             zip(pair.templates, pair.amplitudes, strict=True), key=lambda one: one[0].id not in best.point.values
         )

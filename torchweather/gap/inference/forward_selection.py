@@ -146,7 +146,7 @@ def find_gap_with(
         if global_test.p_value > METHOD.alarm_p:
             # The effect may only have led the nuisances to where they belong: they are profiled from there without it.
             without = search.profile(replace(singles[0].fit.point, values={}))
-            least = min(global_test.misfit, without.nuisance.misfit(without.residual))
+            least = min(global_test.misfit, search.misfit(without.residual, without.nuisance))
             global_test = global_test.raised(least - singles[0].fit.misfit)
     if global_test.p_value > METHOD.alarm_p:
         left = base.nuisance.left(base.residual)

@@ -87,7 +87,7 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
     best_null = delta_chi2(templates, nuisance(nulls), nuisance).max(1) * overdispersion(search)
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
     gain = delta_chi2(templates, left[None], nuisance)[0]
-    misfit = nuisance.misfit(residual)
+    misfit = search.misfit(residual, nuisance)
     counted = counted_entries(search)
     p_gain = _tail(best_null, float(gain.max()))
     p_misfit = _tail(misfit_null * overdispersion(search), misfit)

@@ -33,7 +33,7 @@ from torchweather.gap.inference.simulated_distribution import (
     simulated_distribution,
 )
 from torchweather.gap.inference.starting_points import ParameterGrid
-from torchweather.gap.inference.systematics import Systematics, together
+from torchweather.gap.inference.systematics import BoundedStep, Bounds, Systematics, bounded_step, together
 from torchweather.gap.statistics.frame_random_effects import clear_errors, clear_means, frame_departures, model_errors
 from torchweather.gap.statistics.frame_statistics import COUNTED, TINY, Pool, Reduced
 from torchweather.pipeline.effect import Effect
@@ -150,7 +150,7 @@ class SimulatorLikelihood:
         """Fit the nuisances of the model as it is; the search then starts from there."""
         profiled = self.profile(ParameterPoint())
         self.start, self.origin = profiled.base, profiled.point
-        return replace(profiled, misfit=profiled.nuisance.misfit(profiled.residual))
+        return replace(profiled, misfit=self.misfit(profiled.residual, profiled.nuisance))
 
     def effects(self, point: ParameterPoint) -> list[Effect]:
         """The stages of a point, in the form in which they are searched for."""
@@ -332,13 +332,13 @@ class SimulatorLikelihood:
         opened = np.array([point.open.get(name, 0.0) for name in self.open])
         return np.concatenate([intensities, opened, np.zeros(len(self.fixed))])
 
-    def bounds(self, nuisance: Systematics) -> tuple[Floats, Floats]:
-        """Where nuisances may stand ``(K,)``, in standard deviations; those that no simulator moves may anywhere."""
+    def bounds(self, nuisance: Systematics) -> Bounds:
+        """Where nuisances may stand, in standard deviations; those that no simulator moves may anywhere."""
         number = len(self.measured)
         low, high = np.full(len(nuisance.offset), -np.inf), np.full(len(nuisance.offset), np.inf)
         low[: nuisance.moving], high[: nuisance.moving] = -METHOD.nuisance_bound_sd, METHOD.nuisance_bound_sd
         low[number : nuisance.moving] = np.maximum(low[number : nuisance.moving], list(self.open.values()))
-        return low, high
+        return Bounds(low, high)
 
     def shifted(self, point: ParameterPoint, step: Floats) -> ParameterPoint:
         """A point with its nuisances moved by a step ``(K,)``."""
@@ -420,7 +420,7 @@ class SimulatorLikelihood:
                 self.model.render_near(target.condition, point.log_intensity.get(target.condition.id, 0.0))
         final = self.at(point)
         residual, nuisance = self.residual(final), self._nuisance_at(nuisance, base, final)
-        misfit = nuisance.misfit(residual) + self._wider(final)
+        misfit = self.misfit(residual, nuisance) + self._wider(final)
         return Fit(point, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
 
     def profile_beside(
@@ -438,7 +438,7 @@ class SimulatorLikelihood:
         """
         point = self._scanned(point)
         found, nuisance, residual = self._profiled(point, like.base, like.nuisance.moved(self.offset(point)), rounds)
-        return found, nuisance, nuisance.misfit(residual)
+        return found, nuisance, self.misfit(residual, nuisance)
 
     def _profiled(
         self, point: ParameterPoint, base: SimulatedDistribution, nuisance: Systematics, rounds: int
@@ -447,8 +447,7 @@ class SimulatorLikelihood:
         residual = self.departure(base, self.mean(point))
         cost = nuisance.cost(residual)
         for _ in range(rounds):
-            promised = cost - nuisance.misfit(residual)
-            found = self._along(point, (), np.zeros(0), nuisance.step(residual), cost, promised, base, nuisance)
+            found = self._along(point, (), self._bounded(residual, nuisance), cost, base, nuisance)
             if found is None:
                 break
             gained = cost - found[0]
@@ -522,7 +521,7 @@ class SimulatorLikelihood:
         here = nuisance.moved(self.offset(point))
         residual = self.departure(base, mean)
         cost = here.cost(residual)
-        begun = here.misfit(residual)
+        begun = self.misfit(residual, here)
         covariance: Floats = np.zeros((len(names), len(names)))
         renewed = False
         for _ in range(iterations):
@@ -531,11 +530,9 @@ class SimulatorLikelihood:
             projected = here(jacobian.T).T
             normal = jacobian.T @ projected
             ridge = 1e-3 * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(names))
-            step: Floats = np.asarray(np.linalg.solve(normal + ridge, jacobian.T @ here.left(residual)))
+            best = self._bounded(residual, here, jacobian, self._limits(point, names), np.sqrt(np.diag(ridge)))
             covariance = np.asarray(np.linalg.pinv(normal + 1e-9 * np.eye(len(names))), dtype=np.float64)
-            linear = residual - jacobian @ step
-            promised = cost - here.misfit(linear)
-            found = self._along(point, names, step, here.step(linear), cost, promised, base, here)
+            found = self._along(point, names, best, cost, base, here)
             gained = 0.0
             if found is not None:
                 gained = cost - found[0]
@@ -569,7 +566,7 @@ class SimulatorLikelihood:
         final = self.at(point)
         residual = self.residual(final)
         here = self._nuisance_at(nuisance.moved(self.offset(point)), base, final)
-        misfit = here.misfit(residual) + self._wider(final)
+        misfit = self.misfit(residual, here) + self._wider(final)
         misfit += sum(complexity_penalty(self.model, name) for name in point.values)
         return Fit(point, final, residual, here, misfit, covariance, tuple(names))
 
@@ -577,10 +574,8 @@ class SimulatorLikelihood:
         self,
         point: ParameterPoint,
         names: Sequence[tuple[str, str]],
-        step: Floats,
-        aside: Floats,
+        step: BoundedStep,
         cost: float,
-        promised: float,
         base: SimulatedDistribution,
         nuisance: Systematics,
     ) -> tuple[float, ParameterPoint, list[Floats]] | None:
@@ -593,15 +588,14 @@ class SimulatorLikelihood:
         Args:
             point: to start from.
             names: parameters that move.
-            step, aside: by how much they and the nuisances move.
+            step: by how much they and the nuisances move, and what a linear simulator would leave behind it.
             cost: at the start.
-            promised: decrease of the cost that a linear simulator would show behind the whole step.
             base: scatter.
             nuisance: at the start.
         """
 
         def tried(share: float) -> tuple[float, ParameterPoint, list[Floats]]:
-            there = self.shifted(self._moved(point, names, share * step), share * aside)
+            there = self.shifted(self._moved(point, names, share * step.amplitudes), share * step.aside)
             mean = self.mean(there)
             return nuisance.moved(self.offset(there)).cost(self.departure(base, mean)), there, mean
 
@@ -611,7 +605,7 @@ class SimulatorLikelihood:
             if found[0] < cost - 1e-6:
                 best = found
                 break
-        if best is None or share != SHARES[0] or cost - best[0] < METHOD.doubled_from * promised:
+        if best is None or share != SHARES[0] or cost - best[0] < METHOD.doubled_from * (cost - step.misfit):
             return best
         longer = 2.0
         while longer <= LONGEST:
@@ -620,6 +614,34 @@ class SimulatorLikelihood:
                 break
             best, longer = found, 2.0 * longer
         return best
+
+    def _limits(self, point: ParameterPoint, names: Sequence[tuple[str, str]]) -> Bounds:
+        """By how much parameters may change at once: within their bounds, at most twice the typical size."""
+        declared = [
+            next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
+            for effect, parameter in names
+        ]
+        values = np.array([point.values[effect][parameter] for effect, parameter in names])
+        farthest = 2.0 * np.array([one.scale for one in declared])
+        low, high = (np.array([getattr(one, end) for one in declared]) - values for end in ("low", "high"))
+        return Bounds(np.minimum(np.maximum(low, -farthest), 0.0), np.maximum(np.minimum(high, farthest), 0.0))
+
+    def _bounded(
+        self,
+        residual: Floats,
+        nuisance: Systematics,
+        columns: Floats | None = None,
+        limits: Bounds | None = None,
+        ridge: Floats | float = 0.0,
+    ) -> BoundedStep:
+        """What explains a residual best within the bounds of the nuisances, with columns or none."""
+        columns = np.zeros((len(residual), 0)) if columns is None else columns
+        limits = limits or Bounds(np.zeros(0), np.zeros(0))
+        return bounded_step(residual, nuisance, self.bounds(nuisance), columns, limits, ridge)
+
+    def misfit(self, residual: Floats, nuisance: Systematics) -> float:
+        """Square of the residual, with the cost of nuisances that are moved within their bounds."""
+        return self._bounded(residual, nuisance).misfit
 
     def _wider(self, base: SimulatedDistribution) -> float:
         """Twice the logarithm of the scatter over that of the start, of all entries.

@@ -66,7 +66,7 @@ def located(search: SimulatorLikelihood, point: ParameterPoint, name: str, base:
 
     def cost(tried: ParameterPoint) -> float:
         here = base.nuisance.moved(search.offset(tried))
-        return here.misfit(search.departure(base.base, search.mean(tried, METHOD.location_frames)))
+        return search.misfit(search.departure(base.base, search.mean(tried, METHOD.location_frames)), here)
 
     best = cost(point)
     for _ in range(HALVINGS):

@@ -4,18 +4,22 @@ With G the whitened change per standard deviation of each nuisance and x where t
 
     min over d of |r - G d|^2 + (x + d)' L (x + d),   d = (G'G + L)^-1 (G'r - L x),
 
-where L is the inverse of their covariance: the unit matrix unless some go together.
+where L is the inverse of their covariance: the unit matrix unless some go together. A fit moves them no farther than
+their bounds: a record that would have to be off by ten standard deviations beside an effect is no explanation.
 
 References:
-    GAP.md 3 (4).
+    GAP.md 3 (4). Least squares within bounds: Stark & Parker 1995 (scipy's ``lsq_linear``).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
-__all__ = ["Systematics", "together"]
+__all__ = ["BoundedStep", "Bounds", "Systematics", "bounded_step", "together"]
 
 Floats = NDArray[np.float64]
 
@@ -79,6 +83,68 @@ class Systematics:
 
     def _unlikely(self, offset: Floats) -> float:
         return float(offset @ self.precision @ offset)
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Where numbers may lie.
+
+    Args:
+        low, high: ``(K,)``.
+    """
+
+    low: Floats
+    high: Floats
+
+
+@dataclass(frozen=True)
+class BoundedStep:
+    """What explains a residual best within bounds.
+
+    Args:
+        amplitudes: ``(M,)`` of the columns.
+        aside: ``(K,)`` by how far the nuisances move, in standard deviations.
+        misfit: that is left, with the cost of the moved nuisances.
+    """
+
+    amplitudes: Floats
+    aside: Floats
+    misfit: float
+
+
+def bounded_step(
+    residual: Floats,
+    nuisance: Systematics,
+    bounds: Bounds,
+    columns: Floats,
+    limits: Bounds,
+    ridge: Floats | float = 0.0,
+) -> BoundedStep:
+    """Amplitudes of some columns, and a step of the nuisances, that leave least of a residual.
+
+        min over a, d of |r - S a - G d|^2 + (x + d)' L (x + d) + |ridge a|^2
+
+    Args:
+        residual: ``(C P,)`` r.
+        nuisance: G, x and L.
+        bounds: of where the nuisances stand, x + d.
+        columns: ``(C P, M)`` S.
+        limits: of the amplitudes a.
+        ridge: ``(M,)`` what keeps amplitudes small that nothing tells apart; no part of ``misfit``.
+    """
+    number, moved = columns.shape[1], nuisance.response.shape[1]
+    prior = np.linalg.cholesky(nuisance.precision).T
+    matrix = np.block([[columns, nuisance.response], [np.zeros((moved, number)), prior]])
+    target = np.concatenate([residual, -prior @ nuisance.offset])
+    held = np.concatenate([np.diag(np.broadcast_to(ridge, number)), np.zeros((number, moved))], 1)
+    # As few rows as columns, each of length one: what the columns do not reach is the same whatever they do.
+    scale = np.maximum(np.sqrt((matrix**2).sum(0) + (held**2).sum(0)), 1e-12)
+    orthogonal, upper = np.linalg.qr(np.concatenate([matrix, held]) / scale)
+    low = np.concatenate([limits.low, bounds.low - nuisance.offset]) * scale
+    high = np.concatenate([limits.high, bounds.high - nuisance.offset]) * scale
+    wanted = orthogonal.T @ np.concatenate([target, np.zeros(number)])
+    found = lsq_linear(upper, wanted, (low, np.maximum(high, low + 1e-12)), method="bvls").x / scale
+    return BoundedStep(found[:number], found[number:], float(((target - matrix @ found) ** 2).sum()))
 
 
 def together(number: int, some: int) -> Floats:
