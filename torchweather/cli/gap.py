@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-frames",
         type=int,
         metavar="N",
-        help="try no further effect once N frames were simulated; the page says so. Default no limit",
+        help="try no further effect once N frames were simulated; default no limit",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
 

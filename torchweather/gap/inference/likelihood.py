@@ -634,7 +634,7 @@ class SimulatorLikelihood:
         limits: Bounds | None = None,
         ridge: Floats | float = 0.0,
     ) -> BoundedStep:
-        """What explains a residual best within the bounds of the nuisances, with columns or none."""
+        """The best explanation of a residual within the bounds of the nuisances, with columns or none."""
         columns = np.zeros((len(residual), 0)) if columns is None else columns
         limits = limits or Bounds(np.zeros(0), np.zeros(0))
         return bounded_step(residual, nuisance, self.bounds(nuisance), columns, limits, ridge)

@@ -87,7 +87,7 @@ class Systematics:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Where numbers may lie.
+    """Ends between which numbers may lie.
 
     Args:
         low, high: ``(K,)``.
@@ -99,7 +99,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class BoundedStep:
-    """What explains a residual best within bounds.
+    """The best explanation of a residual within bounds.
 
     Args:
         amplitudes: ``(M,)`` of the columns.
