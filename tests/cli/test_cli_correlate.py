@@ -11,6 +11,8 @@ import pytest
 from torchweather.cli import main
 from torchweather.io import write_table
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 LEVELS = [("rain", 1.0), ("rain", 10.0), ("rain", 50.0), ("fog", 500.0), ("fog", 100.0), ("fog", 30.0)]
 AP = [0.9, 0.7, 0.6, 0.8, 0.4, 0.1]
 

@@ -18,6 +18,8 @@ from torchweather.gap import find
 from torchweather.gap.gap_report import GapReport
 from torchweather.gap.study.study import Study
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 Capture = pytest.CaptureFixture[str]
 
 

@@ -20,6 +20,8 @@ from torchweather.gap.gap_report import GapReport
 from torchweather.gap.study import hidden as hidden_study
 from torchweather.gap.study.study import Study
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 Capture = pytest.CaptureFixture[str]
 WINDOW_LOSS, NOTHING = 2, 3  # seeds that draw it
 

@@ -35,6 +35,8 @@ from torchweather.recipes import read_recipe, recipes_folder
 from torchweather.recipes.suite import SuiteRecipe
 from torchweather.sensors import Camera
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:

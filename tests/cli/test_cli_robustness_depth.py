@@ -28,6 +28,8 @@ from torchweather.io import read_table, write_image
 from torchweather.recipes import read_recipe
 from torchweather.sensors import Camera
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def without_depth(folder: Path) -> list[str]:
     """Data without depth maps, so that depth is guessed as flat ground."""

@@ -20,6 +20,8 @@ from torchweather.metrics import Region, cloud_scores
 from torchweather.sensors import Camera, Lidar
 from torchweather.transforms import BayerWeather, LidarWeather
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 RAIN = ("--weather", "rain:rate=5,50")
 
 

@@ -13,6 +13,8 @@ from torchweather.gap.study import embedded
 from torchweather.gap.study.embedded import embedded_study
 from torchweather.gap.study.study import Study
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 Capture = pytest.CaptureFixture[str]
 
 
