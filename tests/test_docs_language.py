@@ -16,6 +16,7 @@ from typing import NamedTuple
 import pytest
 
 from tests.public_names import documented_members
+from tests.sources import walk
 from torchweather.cli.program import build_parser
 
 ROOT = Path(__file__).parents[1]
@@ -204,7 +205,7 @@ SAYS_SO = ("Error", "Warning", "Exit")  # ends of classes that are raised or giv
 
 def messages(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """Texts of errors and warnings by their line, with those between which an expression chooses."""
-    for call in ast.walk(tree):
+    for call in walk(tree):
         if isinstance(call, ast.Call):
             name = getattr(call.func, "attr", getattr(call.func, "id", ""))
             if name.endswith(SAYS_SO) or name in ("warn", "error"):

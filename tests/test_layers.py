@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.sources import import_statements
+
 PACKAGE = Path(__file__).parents[1] / "torchweather"
 
 # A part may import those of its own layer or a lower one; each name is a module or a folder of the package.
@@ -69,26 +71,21 @@ def part_of(path: Path) -> str:
 @cache
 def imports(path: Path) -> list[tuple[str, int]]:
     """Absolute names that a file imports, and the lines; imports for type checkers only are left out."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for_types: set[ast.AST] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            for_types |= {inner for statement in node.body for inner in ast.walk(statement)}
     found = []
-    for node in ast.walk(tree):
-        if node in for_types:
+    for node, for_types in import_statements(path):
+        if for_types:
             continue
         if isinstance(node, ast.Import):
             found += [(alias.name, node.lineno) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            if node.level:
-                assert not path.is_relative_to(PACKAGE), f"{path}:{node.lineno}: a relative import"
-                continue
-            module = node.module or ""
-            if module == "torchweather":
-                found += [(f"torchweather.{alias.name}", node.lineno) for alias in node.names]
-            else:
-                found.append((module, node.lineno))
+            continue
+        if node.level:
+            assert not path.is_relative_to(PACKAGE), f"{path}:{node.lineno}: a relative import"
+            continue
+        module = node.module or ""
+        if module == "torchweather":
+            found += [(f"torchweather.{alias.name}", node.lineno) for alias in node.names]
+        else:
+            found.append((module, node.lineno))
     return found
 
 
@@ -128,10 +125,10 @@ def test_nobody_imports_upwards() -> None:
 def imported_files(path: Path, modules: dict[str, Path]) -> set[Path]:
     """Files of the package that a file imports, in functions and for type checkers as well."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node, _ in import_statements(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif node.module:
             whole = {f"{node.module}.{alias.name}" for alias in node.names}
             names |= {name if name in modules else node.module for name in whole}
     return {modules[name] for name in names if name in modules} - {path}
@@ -158,7 +155,10 @@ def circles(graph: dict[Path, set[Path]]) -> list[list[str]]:
     for path in graph:
         if path not in seen:
             visit(path, graph, order)
-    back = {path: {other for other in graph if path in graph[other]} for path in graph}
+    back: dict[Path, set[Path]] = {path: set() for path in graph}
+    for path, others in graph.items():
+        for other in others:
+            back[other].add(path)
     seen.clear()
     groups = []
     for path in reversed(order):

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.sources import walk
+
 PACKAGE = Path(__file__).parents[1] / "torchweather"
 
 KINDS = frozenset({"camera", "lidar", "radar", "link"})
@@ -57,7 +59,7 @@ def branches() -> Counter[str]:
     return Counter(
         path.relative_to(PACKAGE).as_posix()
         for path in sorted(PACKAGE.rglob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in walk(ast.parse(path.read_text(encoding="utf-8")))
         if is_branch(node)
     )
 

@@ -367,6 +367,7 @@ def test_list_knows_the_radar(run: Any) -> None:
     assert math.isfinite(sum(recipe["weather"].get("rate_mm_per_h", 0.0) for recipe in recipes))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_scene_is_simulated_clear_and_in_the_weather_with_the_same_noise(run: Any, tmp_path: Path) -> None:
     out = tmp_path / "out"
     code, text, err = run(
@@ -396,6 +397,7 @@ def test_a_scene_is_simulated_clear_and_in_the_weather_with_the_same_noise(run: 
     assert (entry["sensor"], entry["seed"], entry["ego_speed_m_per_s"]) == ("radar:awr1843-like", 5, 1)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_corner_of_the_scene_loses_what_fog_and_cover_take(run: Any, tmp_path: Path) -> None:
     given = ("--weather", "fog:mor=10", "--radome-loss-db", 6, "-o", tmp_path)
     code, text, _ = run("apply", "scene:test-track", *SMALL_RADAR, *given, "--json")
@@ -413,6 +415,7 @@ def test_a_corner_of_the_scene_loses_what_fog_and_cover_take(run: Any, tmp_path:
     assert power[0] - power[1] == pytest.approx(lost, abs=20 * math.log10(1 + 3 * ratio / math.sqrt(2)))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_points_of_the_scene_are_told_from_those_of_the_rain(run: Any, tmp_path: Path) -> None:
     code, text, _ = run("apply", "scene:fog-tunnel", *SMALL_RADAR, "--weather", RAIN, "-o", tmp_path, "--json")
     assert code == 0
@@ -451,6 +454,7 @@ def test_the_picture_of_a_scene_has_clear_and_weather_side_by_side(run: Any, tmp
     assert float((halves[RAIN][0] != halves[RAIN][1]).any(0).double().mean()) > 0.025
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_recipe_sets_the_weather_and_the_models_of_a_scene(run: Any, tmp_path: Path) -> None:
     given = ("apply", "scene:fog-tunnel", "--recipe", "awr1843-rain-25mm-per-h-d34", "-o", tmp_path)
     code, text, _ = run(*given)
