@@ -84,6 +84,15 @@ def module_of(path: Path) -> ModuleType:
     return module
 
 
+def draw_small(monkeypatch: pytest.MonkeyPatch) -> tuple[int, int]:
+    """Let a loaded script draw a quarter of the dots either way; size of its pictures, pixels.
+
+    The size of those in the repository is checked where they are shown.
+    """
+    monkeypatch.setattr(sys.modules["effect_drawing"], "DPI", sys.modules["effect_drawing"].DPI // 4)
+    return SIZE_PX[0] // 4, SIZE_PX[1] // 4
+
+
 def picture(name: str) -> Path:
     return PICTURES / f"{name}.png"
 
@@ -148,12 +157,13 @@ def test_the_script_draws_one_picture_of_each_make(
     drawn = sorted(set(makes.values()) | {"lidar.crosstalk", "lidar.shared_particles"})
     small = ["--frames", "1", "--columns", "32", "--fine-columns", "512"]
     monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path), *small, *drawn])
+    size_px = draw_small(monkeypatch)
     script.main()
     assert sorted(path.name for path in tmp_path.iterdir()) == [picture(name).name for name in drawn]
     printed = capsys.readouterr().out
     for name in drawn:
         with Image.open(tmp_path / f"{name}.png") as image:
-            assert image.size == SIZE_PX
+            assert image.size == size_px
         assert f"{EFFECTS[name].title}: " in printed
 
 

@@ -11,7 +11,7 @@ from types import ModuleType
 import pytest
 from PIL import Image
 
-from tests.test_docs_effects import HEAD, MOST_BYTES, PICTURES, SIZE_PX, heading, module_of, sections_of
+from tests.test_docs_effects import HEAD, MOST_BYTES, PICTURES, SIZE_PX, draw_small, heading, module_of, sections_of
 from torchweather.recipes import load_recipe
 from torchweather.stages import EFFECTS, Effect, Parameter
 
@@ -114,12 +114,13 @@ def test_the_script_draws_a_frame_a_cover_and_a_change(
     """Drawing all of them takes too long for a test."""
     drawn = ["camera.height_fog", "camera.streak_contrast", "camera.wind_slant"]
     monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path), "--frames", "2", "--width", "64", *drawn])
+    size_px = draw_small(monkeypatch)
     script.main()
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"{name}.png" for name in drawn]
     printed = capsys.readouterr().out
     for name in drawn:
         with Image.open(tmp_path / f"{name}.png") as image:
-            assert image.size == SIZE_PX
+            assert image.size == size_px
         assert f"{EFFECTS[name].title}: " in printed
 
 

@@ -10,7 +10,17 @@ from types import ModuleType
 import pytest
 from PIL import Image
 
-from tests.test_docs_effects import MOST_BYTES, PICTURES, SIZE_PX, heading, module_of, picture, sections_of, table
+from tests.test_docs_effects import (
+    MOST_BYTES,
+    PICTURES,
+    SIZE_PX,
+    draw_small,
+    heading,
+    module_of,
+    picture,
+    sections_of,
+    table,
+)
 from torchweather.recipes import load_recipe
 from torchweather.stages import EFFECTS, Effect
 
@@ -91,12 +101,13 @@ def test_the_script_draws_every_picture(
     script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["", "--out", str(tmp_path), "--frames", "2"])
+    size_px = draw_small(monkeypatch)
     script.main()
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(picture(name).name for name in RADAR)
     printed = capsys.readouterr().out
     for name in RADAR:
         with Image.open(tmp_path / f"{name}.png") as image:
-            assert image.size == SIZE_PX
+            assert image.size == size_px
         assert f"{EFFECTS[name].title}: " in printed
 
 
