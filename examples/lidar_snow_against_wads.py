@@ -60,7 +60,9 @@ def main() -> None:
     for case in cases():
         seen = sum(int((cloud[:, :3] != 0).any(1).sum()) for _, cloud, _ in frames)
         dry = tw.LidarSnow(tw.Snow(rate_mm_per_h=0), case.sensor)
-        floored[case.name] = sum(int(dry.run(cloud).floored_points) for _, cloud, _ in frames) / seen
+        floored[case.name] = (
+            sum(int(dry.run(cloud, directions=along).floored_points) for _, cloud, along in frames) / seen
+        )
         for rate in rates:
             # One seed for each frame: the same storm for every sensor and rate.
             drawn = [
