@@ -8,7 +8,9 @@ the root of the photons. The receiver's filter is the pulse itself, so that the 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -75,6 +77,22 @@ def drawn(mor_m: float, peak: float, object_m: float = 0.0) -> Readings:
     return Readings(state.returns.range_m[0, :, 1].double().numpy(), photons.double().numpy())
 
 
+@lru_cache(maxsize=1)
+def receiver_noise(length_m: float, steps: int) -> NDArray[np.float64]:
+    """Normal numbers ``(DRAWS, steps)`` that are correlated as the pulse, the same for every fog."""
+    place = np.arange(-length_m + 0.5 * STEP_M, length_m, STEP_M)
+    pulse = np.cos(0.5 * math.pi * place / length_m) ** 2
+    white = np.random.default_rng(1).normal(size=(DRAWS, steps + len(pulse) - 1))
+    return np.asarray(fftconvolve(white, pulse[None] / math.sqrt(float(pulse @ pulse)), mode="valid", axes=1))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _noise_goes() -> Iterator[None]:
+    """90 MB."""
+    yield
+    receiver_noise.cache_clear()
+
+
 def by_brute_force(mor_m: float, peak: float, object_m: float = math.inf) -> Readings:
     """Maxima of the waveform, up to an object, with noise that is correlated as the pulse."""
     fog = LidarFog(Fog(mor_m=mor_m), OS1)
@@ -83,10 +101,7 @@ def by_brute_force(mor_m: float, peak: float, object_m: float = math.inf) -> Rea
     range_m = np.arange(2.0 + 0.5 * STEP_M, FARTHEST_M, STEP_M)
     waveform = soft_signal(range_m + length_m, target, Link(0.0095, OS1.divergence_mrad * 1e-3, 40.0))
     mean = peak * waveform / waveform.max()
-    place = np.arange(-length_m + 0.5 * STEP_M, length_m, STEP_M)
-    pulse = np.cos(0.5 * math.pi * place / length_m) ** 2
-    white = np.random.default_rng(1).normal(size=(DRAWS, len(range_m) + len(pulse) - 1))
-    noise = fftconvolve(white, pulse[None] / math.sqrt(float(pulse @ pulse)), mode="valid", axes=1)
+    noise = receiver_noise(length_m, len(range_m))
     reading = np.where(range_m < object_m, mean + np.sqrt(mean) * noise, -np.inf)
     top = reading.argmax(1)
     return Readings(range_m[top], reading[np.arange(DRAWS), top])
