@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import subprocess
 import sys
 
@@ -33,20 +34,35 @@ PARTS = (
 )
 
 
-def test_parts_are_reached_without_an_import_of_their_own() -> None:
-    # Each as the first of a library that is loaded anew, in one process: torch takes the time.
+@pytest.fixture(scope="module")
+def new_process() -> tuple[set[str], list[str]]:
+    """Top-level packages loaded with a transform, and the parts as they are named: in one process, as torch takes the
+    time."""
+    # Each part as the first of a library that is loaded anew.
     code = f"""
-import sys
-import torch
+import json, sys
+from torchweather import BayerRain, Camera, Rain
+loaded = sorted({{name.split(".")[0] for name in sys.modules}})
+parts = []
 for part in {PARTS}:
     for name in [name for name in sys.modules if name.split(".")[0] == "torchweather"]:
         del sys.modules[name]
     import torchweather
     assert not [name for name in sys.modules if name.startswith("torchweather.")], part
-    print(getattr(torchweather, part).__name__)
+    parts.append(getattr(torchweather, part).__name__)
+print(json.dumps([loaded, parts]))
 """
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert done.stdout.split() == [f"torchweather.{part}" for part in PARTS]
+    loaded, parts = json.loads(done.stdout)
+    return set(loaded), parts
+
+
+def test_the_transforms_load_no_plots_and_no_graphs(new_process: tuple[set[str], list[str]]) -> None:
+    assert not new_process[0] & {"matplotlib", "jinja2", "onnx", "onnxruntime", "torchvision"}
+
+
+def test_parts_are_reached_without_an_import_of_their_own(new_process: tuple[set[str], list[str]]) -> None:
+    assert new_process[1] == [f"torchweather.{part}" for part in PARTS]
 
 
 def test_every_public_name_is_there_and_unknown_ones_are_refused() -> None:
