@@ -28,6 +28,7 @@ def test_a_picture_in_fog_keeps_its_mean_light(run: Run, tmp_path: Path) -> None
     assert mean_light(tmp_path / "kept" / "clear.png") == pytest.approx(clear, rel=0.02)  # rounded to 8 bits
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_sweep_takes_it_and_another_word_is_refused(run: Run, tmp_path: Path) -> None:
     sweep = ("sweep", "--weather", "fog:mor=200,40", "--sensor", "camera:lucid-triton", "--size", "64x48", "--seeds", 1)
     code, _, err = run(*sweep, "--exposure-control", "median", "--metrics", "psnr", "--quiet", "-o", tmp_path / "sweep")

@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,19 @@ from torchweather.cli.gap_demo import outcome
 from torchweather.gap import find
 from torchweather.gap.gap_report import GapReport
 from torchweather.gap.study import hidden as hidden_study
+from torchweather.gap.study.hidden import HiddenStudy, drawn_study
 from torchweather.gap.study.study import Study
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 Capture = pytest.CaptureFixture[str]
 WINDOW_LOSS, NOTHING = 2, 3  # seeds that draw it
+
+
+@lru_cache
+def small_study(seed: int, **options: Any) -> HiddenStudy:
+    """Few columns, drawn once for all tests that ask for this seed."""
+    return drawn_study(seed, columns=16, **options)
 
 
 @pytest.fixture
@@ -38,7 +45,7 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return report(given["verdict"], study)
 
     monkeypatch.setattr(find, "find_gap", made_up)
-    monkeypatch.setattr(hidden_study, "drawn_study", partial(hidden_study.drawn_study, columns=16))
+    monkeypatch.setattr(hidden_study, "drawn_study", small_study)
     return given
 
 

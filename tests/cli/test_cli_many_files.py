@@ -69,6 +69,7 @@ def test_the_old_rule_of_seeds_stays_by_name(run: Any, tmp_path: Path) -> None:
     assert [[entry["seed"] for entry in entries] for entries in old] == [[0, 1], [1, 2]]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_sweeps_of_two_seeds_share_no_storm(run: Any, tmp_path: Path) -> None:
     write_points(tmp_path / "a.bin", torch.rand(200, 4, generator=torch.Generator().manual_seed(1)) * 20)
     common = (tmp_path / "a.bin", "--sensor", "lidar:velodyne-hdl-64e", "--weather", "snow:rate=1,5", "--seeds", 3)

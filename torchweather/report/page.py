@@ -7,6 +7,7 @@ import math
 import os
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ from torchweather.report.report import Report
 __all__ = ["html_of", "storable", "write_json", "write_report"]
 
 
-def html_of(report: Report) -> str:
-    """HTML of a page, with its style, pictures and scripts in itself."""
+@lru_cache(maxsize=1)
+def _environment() -> jinja2.Environment:
+    """Templates, each compiled once a process: that takes longer than to fill them in."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("torchweather.report"),
         autoescape=True,
@@ -30,7 +32,12 @@ def html_of(report: Report) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"terse": _terse, "flush": _flush}
-    return environment.get_template("report.html").render(report=report, version=__version__)
+    return environment
+
+
+def html_of(report: Report) -> str:
+    """HTML of a page, with its style, pictures and scripts in itself."""
+    return _environment().get_template("report.html").render(report=report, version=__version__)
 
 
 def write_report(report: Report, path: str | os.PathLike[str]) -> None:
