@@ -20,12 +20,13 @@ from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.io import read_points
 from torchweather.lidar.scan import scan_directions
 from torchweather.report import demo as demo_module
-from torchweather.report import parts
+from torchweather.report import parts, radar_section
 from torchweather.report.cloud_counts import cloud_counts, has_return
 from torchweather.report.demo import SECTIONS, write_demo
 from torchweather.report.lidar_figures import COLOURS, _cells, _colours, birds_eye_uri, range_images_uri
 from torchweather.report.lidar_section import COLUMNS, lidar_part
 from torchweather.report.lidar_views import LidarScene, WeatherCloud, lidar_scene
+from torchweather.report.radar_section import RADAR_WEATHERS
 from torchweather.report.report import Section
 from torchweather.scenes import test_track as track
 from torchweather.sensors import Camera, Lidar
@@ -221,8 +222,11 @@ def test_the_table_has_a_row_for_each_weather_in_per_cent_and_milliseconds(part:
 def page(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], str]:
     folder = tmp_path_factory.mktemp("demo")
     patch = pytest.MonkeyPatch()
-    # The camera's frames have tests of their own: one of their weathers is enough here.
+    # Frames of camera and radar have tests of their own: few of their weathers are enough here.
     patch.setattr(demo_module, "SECTIONS", tuple(section for section in SECTIONS if section.kind in ("rain", "fog")))
+    few = tuple(one for one in RADAR_WEATHERS if one[0] in ("rain-25", "fog-10"))  # of which the page speaks
+    for module in (demo_module, radar_section):
+        patch.setattr(module, "RADAR_WEATHERS", few)
     patch.setattr(demo_module, "lidar_scene", lambda scene, lidar, *more: lidar_scene(scene, LIDAR, *more))
     camera = Camera.preset("lucid-triton").resized(64, 48)
     try:
