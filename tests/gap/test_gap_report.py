@@ -237,7 +237,7 @@ def fitted(**values: Any) -> dict[str, Any]:
         names=(("lidar.window_loss", "loss_db"),),
     )
     rival = ParameterPoint({"lidar.range_noise": {"std_m": 0.1}, "lidar.threshold_shift": {"shift_db": 1.0}})
-    other = SimpleNamespace(point=rival, base=base(), misfit=61.0)
+    other = SimpleNamespace(point=rival, base=base(), misfit=61.0, names=())
     best = SimpleNamespace(id="lidar.window_loss", fit=fit, gain=100.0)
     second = SimpleNamespace(id="lidar.threshold_shift", fit=other, gain=99.0)
     return {"fit": fit, "rounds": ((best, second),), **values}
@@ -363,6 +363,55 @@ def test_responses_are_what_each_effect_changes_beside_the_measurement() -> None
     np.testing.assert_allclose(measured.values, -30.0 * math.sqrt(3.0))
     np.testing.assert_allclose(window.values, measured.values)
     np.testing.assert_allclose(rival.values, 0.0)
+    # 0.3 of a logarithm of an intensity are 1.303 dB.
+    np.testing.assert_allclose(measured.natural, -3.0 / math.log(10.0))
+    np.testing.assert_allclose(window.natural, measured.natural)
+    assert measured.unit == "dB"
+
+
+def test_a_curve_has_its_own_unit_beside_standard_deviations() -> None:
+    uniform = np.where(np.arange(SIZE) < 16, -0.3, 0.0)
+    report = gap_report(result("named", uniform, **fitted()), "ab" * 32, 3)
+    curve = next(one for one in report.curves if one.statistic == "log_intensity_ratio")
+    assert curve.natural is not None
+    assert curve.natural.unit == "dB"
+    np.testing.assert_allclose(curve.natural.before, -3.0 / math.log(10.0))
+    np.testing.assert_allclose(curve.natural.after, 0.0, atol=1e-12)
+    np.testing.assert_allclose(curve.natural.before / curve.natural.chance, curve.before)
+    loudest = report.to_dict()["where"][0]
+    assert (loudest["departure"], loudest["unit"]) == (pytest.approx(-1.30288, abs=1e-5), "dB")
+
+
+def test_the_answer_holds_the_share_of_the_excess_that_is_left() -> None:
+    before, after = HeldOut(3.0, 1.0, 0.1, 9.0), HeldOut(1.5, 1.0, 0.1, 2.0)
+    found = gap_report(result("named", ripple(0.01), before=before, after=after, **fitted()), "ab" * 32, 3).to_dict()
+    assert found["gap"]["excess_left"] == 0.25
+    alike = HeldOut(1.05, 1.0, 0.1, 1.1)
+    found = gap_report(result("none", ripple(0.01), before=alike, after=alike), "ab" * 32, 3).to_dict()
+    assert found["gap"]["excess_left"] is None
+
+
+def test_a_value_on_its_bound_lowers_the_confidence_of_its_partner() -> None:
+    pair = ParameterPoint({"lidar.window_loss": {"loss_db": 30.0}, "lidar.blind_zone": {"range_m": 2.0}})
+    names = (("lidar.window_loss", "loss_db"), ("lidar.blind_zone", "range_m"))
+    fit = SimpleNamespace(point=pair, base=base(), misfit=50.0, covariance=np.eye(2) * 1e-4, names=names)
+    best = SimpleNamespace(id="lidar.blind_zone", fit=fit, gain=150.0)
+    given = result("named", ripple(0.01), fit=fit, rounds=((best,),))
+    loss, zone = gap_report(given, "ab" * 32, 3).to_dict()["effects"]
+    assert (loss["at_bound"], zone["at_bound"]) == ({"loss_db": "highest"}, {})
+    assert (loss["beside_bound"], zone["beside_bound"]) == ([], ["lidar.window_loss"])
+    assert (loss["confidence"], zone["confidence"]) == (0.95, pytest.approx(0.8))
+
+
+def test_candidates_of_later_rounds_are_listed_with_what_they_stand_beside() -> None:
+    first = fitted()["rounds"]
+    pair = ParameterPoint({"lidar.window_loss": {"loss_db": 1.5}, "lidar.blind_zone": {"range_m": 2.0}})
+    fit = SimpleNamespace(point=pair, base=base(), misfit=50.0, covariance=np.eye(2) * 1e-4, names=())
+    second = SimpleNamespace(id="lidar.blind_zone", fit=fit, gain=150.0)
+    given = result("named", ripple(0.01), **{**fitted(), "rounds": (*first, (second,))})
+    (added,) = gap_report(given, "ab" * 32, 3).to_dict()["added"]
+    assert added["beside"] == ["lidar.window_loss"]
+    assert [(one["name"], one["weight"]) for one in added["candidates"]] == [("lidar.blind_zone", 1.0)]
 
 
 def test_the_answer_says_where_it_comes_from() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from torchweather.core.errors import TorchweatherError, check_at_least
@@ -13,11 +14,16 @@ from torchweather.gap.diagnosis import diagnose
 from torchweather.gap.gap_report import GapReport, gap_report
 from torchweather.gap.inference.forward_selection import find_gap_with
 from torchweather.gap.inference.simulated_distribution import FrameModel
+from torchweather.gap.places import CellValues, places_of
 from torchweather.gap.sensors.camera.frames import CameraFrames
+from torchweather.gap.sensors.camera.places import camera_cells
 from torchweather.gap.sensors.camera.scene_change import with_parts_ignored
 from torchweather.gap.sensors.lidar.frames import LidarFrames
+from torchweather.gap.sensors.lidar.places import lidar_cells
 from torchweather.gap.sensors.link.frames import LinkFrames
+from torchweather.gap.sensors.link.places import link_cells
 from torchweather.gap.sensors.radar.frames import RadarFrames
+from torchweather.gap.sensors.radar.places import radar_cells
 from torchweather.gap.study.study import Study
 from torchweather.pipeline.effect import Effect
 
@@ -26,6 +32,13 @@ __all__ = ["find_gap"]
 Model = Callable[[Study, Mapping[str, Any] | None, Sequence[Effect], Sequence[str]], FrameModel]
 # By the kind of a study: simulates and reduces its frames.
 MODELS: dict[str, Model] = {"lidar": LidarFrames, "camera": CameraFrames, "radar": RadarFrames, "link": LinkFrames}
+# By the kind of a study: values in the cells of a frame, for the picture of where it departs.
+CELLS: dict[str, Callable[..., CellValues]] = {
+    "lidar": lidar_cells,
+    "camera": camera_cells,
+    "radar": radar_cells,
+    "link": link_cells,
+}
 
 
 def find_gap(
@@ -91,10 +104,12 @@ def find_gap(
     with one_thread_an_operation():
         model = MODELS[study.kind](with_parts_ignored(study, ignore_parts), options, model_effects, effects or ())
         result = find_gap_with(model, effects, seed, progress or (lambda text: None), max_frames)
-    report = gap_report(result, study.sha256, seed)
+        report = gap_report(result, study.sha256, seed)
+        loudest = report.answer["where"][0]["statistic"] if report.answer["where"] else None
+        places = places_of(result, partial(CELLS[study.kind], model), loudest)
     asked: dict[str, Any] = {}
     if ignore_parts:
         asked["ignored_parts"] = list(ignore_parts)
     if max_frames is not None:
         asked["max_frames"] = {"limit": max_frames, "reached": result.search.exhausted}
-    return replace(report, answer={**report.answer, **asked}) if asked else report
+    return replace(report, answer={**report.answer, **asked}, places=places)

@@ -18,16 +18,18 @@ from torchweather.gap.inference.candidate_fits import Candidate
 from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.forward_selection import GapResult
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
-from torchweather.gap.inference.simulated_distribution import SimulatedDistribution
+from torchweather.gap.inference.simulated_distribution import Observation, SimulatedDistribution
 from torchweather.gap.inference.unknown import unknown
 from torchweather.gap.model_file import Additions, read_model, write_model
+from torchweather.gap.natural_units import NaturalDeparture, natural_unit
+from torchweather.gap.places import Places
 from torchweather.gap.statistics.frame_statistics import Group
 from torchweather.io import atomic_write
 from torchweather.lidar.effects.empirical import Empirical
 from torchweather.pipeline.effect import Effect, Parameter
 from torchweather.recipes.options import RecipeTransform
 
-__all__ = ["Curve", "GapReport", "ResidualMap", "Response", "gap_report", "read_model", "write_model"]
+__all__ = ["Curve", "GapReport", "ResidualMap", "Response", "excess_left", "gap_report", "read_model", "write_model"]
 
 Floats = NDArray[np.float64]
 T = TypeVar("T", bound=RecipeTransform)
@@ -50,6 +52,7 @@ RIGHT = {"named": 0.95, "named_and_rest": 0.8}
 AT_BOUND = 1e-3  # of the span of a parameter, within which a value stands at its end
 LIKELY = 0.05  # of the best candidate's weight, from which another cannot be excluded
 DIGITS = 6  # significant
+LEAST_EXCESS = 1.1  # of what a perfect model scores, from which a departure is more than the noise of that score
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,9 @@ class Curve:
         statistic, axis: names, with units.
         edges: of the bins.
         condition: of the study.
-        before, after: ``(bins,)`` departure of the measurement from the simulation in units of its scatter, NaN where
-            nothing counts; ``after`` is ``None`` where nothing was added.
+        before, after: ``(bins,)`` departure of the measurement from the simulation in standard deviations of chance,
+            NaN where nothing counts; ``after`` is ``None`` where nothing was added.
+        natural: the same in the statistic's own unit; ``None`` where it has none.
     """
 
     statistic: str
@@ -70,6 +74,7 @@ class Curve:
     condition: str
     before: Floats
     after: Floats | None
+    natural: NaturalDeparture | None = None
 
 
 @dataclass(frozen=True)
@@ -80,8 +85,10 @@ class Response:
         statistic, axis: names, with units.
         edges: of the bins.
         effect: its id; ``None`` is the measurement.
-        values: ``(bins,)`` departure from the simulation as it is, all conditions together, in units of its scatter;
-            NaN where nothing counts.
+        values: ``(bins,)`` departure from the simulation as it is, all conditions together, in standard deviations of
+            chance; NaN where nothing counts.
+        natural: the same in the statistic's own unit, mean over the conditions; ``None`` where it has none.
+        unit: of that.
     """
 
     statistic: str
@@ -89,6 +96,8 @@ class Response:
     edges: tuple[float, ...]
     effect: str | None
     values: Floats
+    natural: Floats | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,8 +107,8 @@ class ResidualMap:
     Args:
         groups: (statistic, axis) of each row.
         conditions: ids of the columns.
-        before, after: ``(rows, columns)`` root mean square departure over the bins in units of the simulation's
-            scatter, 1 in the mean where nothing is missing, NaN where nothing counts; ``after`` is ``None`` where
+        before, after: ``(rows, columns)`` root mean square departure over the bins in standard deviations of chance, 1
+            in the mean where nothing is missing, NaN where nothing counts; ``after`` is ``None`` where
             nothing was fitted.
     """
 
@@ -121,6 +130,7 @@ class GapReport:
         empirical: stage that copies what no effect explains, or ``None``.
         responses: of the fitted effects, in the statistics that depart most.
         residuals: of all statistics.
+        places: of a frame or a scan that depart.
     """
 
     answer: Mapping[str, Any]
@@ -130,6 +140,7 @@ class GapReport:
     empirical: Empirical | None = None
     responses: tuple[Response, ...] = ()
     residuals: ResidualMap | None = None
+    places: Places | None = None
 
     @property
     def verdict(self) -> str:
@@ -163,6 +174,7 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
     found = result.fit if result.verdict in ("named", "named_and_rest") else None
     weights = [_weights(round_, result) for round_ in result.rounds]
     effects = [] if found is None else [_effect(name, found, result, weights) for name in found.point.values]
+    _doubt_beside_bounds(effects, result.verdict)
     unexplained = unknown(result) if result.verdict in ("unknown", "named_and_rest") else None
     low = max(0.0, result.after.gap - CENTRAL_90 * result.after.spread)
     answer = {
@@ -180,24 +192,18 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
             "before": result.before.gap,
             "after": result.after.gap,
             "floor": result.after.floor,
+            "excess_left": excess_left(result.before.gap, result.after.gap, result.after.floor),
             "interval_after": [low, result.after.gap + CENTRAL_90 * result.after.spread],
             "split": "holdout",
         },
         "p_value": result.global_test.p_value,
         "clear_air": [vars(one) for one in result.clear],
         "unknown": None if unexplained is None else unexplained.to_dict(),
-        "candidates": [
-            {
-                "name": one.id,
-                "gain": one.gain,
-                "misfit": one.fit.misfit,
-                "weight": weight,
-                "parameters": dict(one.fit.point.values[one.id]),
-            }
-            for one, weight in zip(result.rounds[0], weights[0], strict=True)
-        ]
-        if result.rounds
-        else [],
+        "candidates": _ranked(result.rounds[0], weights[0], result) if result.rounds else [],
+        "added": [
+            {"beside": _beside(round_), "candidates": _ranked(round_, weight, result)}
+            for round_, weight in zip(result.rounds[1:], weights[1:], strict=True)
+        ],
         "simulated_frames": result.search.simulated_frames,
         "seconds": result.seconds,
         "seed": seed,
@@ -213,6 +219,54 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
         tuple(_responses(result)),
         _residuals(result),
     )
+
+
+def excess_left(before: float, after: float, floor: float) -> float | None:
+    """Share of the held-out departure beyond a perfect model's that is left; ``None`` where there is none to shrink.
+
+    Example:
+        >>> excess_left(3.0, 1.5, 1.0), excess_left(3.0, 0.9, 1.0), excess_left(1.0, 1.0, 1.0)
+        (0.25, 0.0, None)
+    """
+    return max(after - floor, 0.0) / (before - floor) if before > LEAST_EXCESS * floor else None
+
+
+def _ranked(candidates: Sequence[Candidate], weights: Sequence[float], result: GapResult) -> list[dict[str, Any]]:
+    """Fitted candidates of a round as plain values, best first."""
+    found = []
+    for one, weight in zip(candidates, weights, strict=True):
+        values = one.fit.point.values.get(one.id, {})
+        found.append(
+            {
+                "name": one.id,
+                "gain": one.gain,
+                "misfit": one.fit.misfit,
+                "weight": weight,
+                "parameters": dict(values),
+                "at_bound": _at_bound(one.id, one.fit, result, values),
+            }
+        )
+    return found
+
+
+def _beside(candidates: Sequence[Candidate]) -> list[str]:
+    """Effects that all candidates of a round hold beside their own."""
+    each = [set(one.fit.point.values) - {one.id} for one in candidates]
+    common = set.intersection(*each) if each else set()
+    return sorted(common)
+
+
+def _doubt_beside_bounds(effects: Sequence[dict[str, Any]], verdict: str) -> None:
+    """Lower the confidence of effects beside one whose value stands at an end of what is searched.
+
+    What that value would explain beyond the end is left over, as where something else is missing too: the share of
+    right names of that verdict counts. ``beside_bound`` has the names.
+    """
+    for effect in effects:
+        beside = [one["name"] for one in effects if one is not effect and one["at_bound"]]
+        effect["beside_bound"] = beside
+        if beside:
+            effect["confidence"] *= RIGHT["named_and_rest"] / RIGHT[verdict]
 
 
 def _nuisance(result: GapResult) -> dict[str, Any]:
@@ -338,16 +392,73 @@ def _where(search: SimulatorLikelihood, base: SimulatedDistribution) -> list[dic
         if loudest < STANDS_OUT:
             break
         place = int(np.abs(common[part]).argmax())
-        found.append(
-            {
-                "statistic": group.statistic,
-                "axis": group.axis,
-                "from": group.edges[place],
-                "to": group.edges[place + 1],
-                "z": float(common[part][place]),
-            }
-        )
+        bin_: dict[str, Any] = {
+            "statistic": group.statistic,
+            "axis": group.axis,
+            "from": group.edges[place],
+            "to": group.edges[place + 1],
+            "z": float(common[part][place]),
+        }
+        natural = _averaged_naturally(search, group, part, base)
+        if natural is not None:
+            bin_ |= {"departure": float(natural[place]), "unit": _unit_text(group)}
+        found.append(bin_)
     return found
+
+
+def _unit_text(group: Group) -> str:
+    unit = natural_unit(group)
+    return "" if unit is None else unit.text
+
+
+def _averaged_naturally(
+    search: SimulatorLikelihood,
+    group: Group,
+    part: slice,
+    base: SimulatedDistribution,
+    other: SimulatedDistribution | None = None,
+) -> Floats | None:
+    """Mean over the conditions ``(bins,)`` of measured less simulated, or of ``other`` less ``base``, in natural units.
+
+    Conditions count with the precision of their natural values; ``None`` where the statistic has no such unit.
+    """
+    unit = natural_unit(group)
+    if unit is None:
+        return None
+    total, weight = np.zeros(group.bins), np.zeros(group.bins)
+    for target in search.measured:
+        name, frames = target.condition.id, target.frames
+        mean, scatter = base.mean[name][part], base.total[name][part]
+        there = target.vector[part] if other is None else other.mean[name][part]
+        sd = 0.5 * np.abs(unit.of(mean + scatter, frames) - unit.of(mean - scatter, frames))
+        own = np.where(base.used[name][part] & (sd > 0), np.maximum(sd, 1e-12) ** -2.0, 0.0)
+        total += own * np.where(own > 0, unit.of(there, frames) - unit.of(mean, frames), 0.0)
+        weight += own
+    return np.where(weight > 0, total / np.where(weight > 0, weight, 1.0), np.nan)
+
+
+def _natural(
+    group: Group,
+    part: slice,
+    target: Observation,
+    before: SimulatedDistribution,
+    after: SimulatedDistribution | None,
+) -> NaturalDeparture | None:
+    """A group's departure of one condition in natural units."""
+    unit = natural_unit(group)
+    if unit is None:
+        return None
+    name, frames = target.condition.id, target.frames
+    used, measured = before.used[name][part], unit.of(target.vector[part], frames)
+
+    def less(base: SimulatedDistribution) -> Floats:
+        return np.where(used & base.used[name][part], measured - unit.of(base.mean[name][part], frames), np.nan)
+
+    mean, scatter = before.mean[name][part], before.total[name][part]
+    chance = 0.5 * np.abs(unit.of(mean + scatter, frames) - unit.of(mean - scatter, frames))
+    return NaturalDeparture(
+        unit.text, less(before), None if after is None else less(after), np.where(used, chance, np.nan)
+    )
 
 
 def _curves(result: GapResult) -> list[Curve]:
@@ -360,7 +471,8 @@ def _curves(result: GapResult) -> list[Curve]:
         for target in search.measured:
             name = target.condition.id
             later = None if after is None else after[name][part]
-            found.append(Curve(group.statistic, group.axis, group.edges, name, before[name][part], later))
+            natural = _natural(group, part, target, search.start, None if result.fit is None else result.fit.base)
+            found.append(Curve(group.statistic, group.axis, group.edges, name, before[name][part], later, natural))
     return found
 
 
@@ -379,12 +491,18 @@ def _responses(result: GapResult) -> list[Response]:
     found = []
     axes = [one for one in _loudest(search, start) if one[1].bins > 1]
     for _, group, part in axes[:RESPONSES]:
-        seen: list[tuple[str | None, Floats]] = [(None, common(_departures(search, start), part))]
+        measured = _averaged_naturally(search, group, part, start)
+        seen: list[tuple[str | None, Floats, Floats | None]] = [
+            (None, common(_departures(search, start), part), measured)
+        ]
         for candidate in result.rounds[0]:
             base = candidate.fit.base
             moved = {name: (base.mean[name] - start.mean[name]) / start.total[name] for name in names}
-            seen.append((candidate.id, common(moved, part)))
-        found += [Response(group.statistic, group.axis, group.edges, effect, values) for effect, values in seen]
+            seen.append((candidate.id, common(moved, part), _averaged_naturally(search, group, part, start, base)))
+        found += [
+            Response(group.statistic, group.axis, group.edges, effect, values, natural, _unit_text(group))
+            for effect, values, natural in seen
+        ]
     return found
 
 

@@ -255,6 +255,19 @@ class CameraFrames:
                     self._keep((key, seed), found[seed])
         return Reduced.joined([found[seed] for seed in wanted])
 
+    def simulated_pictures(
+        self, condition: Condition, effects: Sequence[Effect], log_intensity: float, seeds: Sequence[int]
+    ) -> Tensor:
+        """Simulated mosaics ``(F, H, W)``; arguments as ``simulated``."""
+        clear, chain = len(self.scenes[condition.scene].clear), self._chain(condition, effects)
+        parts = []
+        for first in range(0, len(seeds), TOGETHER):
+            some = list(seeds[first : first + TOGETHER])
+            row = torch.tensor([seed % clear for seed in some])
+            with torch.no_grad():
+                parts.append(self._through(chain, condition, row, log_intensity, some)[:, 0])
+        return torch.cat(parts)
+
     def _refuse_changed(self, scene_id: str, mask: Any) -> None:
         """Raise where the scene is another one in weather, outside of its mask (``scene_change.py``)."""
         scene = self.scenes[scene_id]

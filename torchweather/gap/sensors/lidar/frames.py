@@ -210,6 +210,15 @@ class LidarFrames:
             parts.append(self.reduce(condition.scene, *out, row, portions))
         return Reduced.joined(parts)
 
+    def simulated_scans(
+        self, condition: Condition, effects: Sequence[Effect], log_intensity: float, seeds: Sequence[int]
+    ) -> tuple[Tensor, Tensor]:
+        """Range and intensity ``(F, N)`` of simulated frames; arguments as ``simulated``."""
+        scene = self.scenes[condition.scene]
+        row = torch.tensor([seed % len(scene.range_m) for seed in seeds])
+        with torch.no_grad():
+            return self._through(condition, scene, row, effects, log_intensity, list(seeds))
+
     def _through(
         self,
         condition: Condition,

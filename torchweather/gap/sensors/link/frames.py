@@ -197,6 +197,13 @@ class LinkFrames:
         noise = np.stack([self._noise(condition, seed) for seed in seeds])
         return self._reduced(samples, self.cells[condition.id], mean + noise, portions)
 
+    def simulated_records(
+        self, condition: Condition, effects: Sequence[Effect], log_intensity: float, seeds: Sequence[int]
+    ) -> Floats:
+        """Simulated attenuations ``(F, S)``, dB; arguments as ``simulated``."""
+        mean = attenuation_db(self.samples[condition.id], [*self.effects, *effects], log_intensity)
+        return mean + np.stack([self._noise(condition, seed) for seed in seeds])
+
     def _noise(self, condition: Condition, seed: int) -> Floats:
         """Scatter of a simulated record, kept: it depends on the seed alone."""
         key = (condition.id, seed)

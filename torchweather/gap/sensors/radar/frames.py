@@ -244,6 +244,15 @@ class RadarFrames:
         loss_db, together = self._loss_db(condition), self._together(condition)
         return self.reduce(condition.scene, frames, row, loss_db, lever, portions, together)
 
+    def simulated_lists(
+        self, condition: Condition, effects: Sequence[Effect], log_intensity: float, seeds: Sequence[int]
+    ) -> Detections:
+        """Simulated detections; arguments as ``simulated``."""
+        row = np.array([seed % self.clear_frames[condition.scene] for seed in seeds])
+        place = np.arange(len(seeds)) % len(condition.frames)
+        with torch.no_grad():
+            return self._through(condition, row, place, effects, log_intensity, list(seeds))
+
     def _through(
         self,
         condition: Condition,
