@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from torchweather.gap.gap_report import Curve, GapReport, ResidualMap, Response
+from torchweather.gap.natural_units import NaturalDeparture
+from torchweather.gap.places import CellValues, Places
 from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.lidar.effects.empirical import Empirical
@@ -41,8 +43,24 @@ CANDIDATES = [
     },
 ]
 WHERE = [
-    {"statistic": "log_intensity_ratio", "axis": "range_m", "from": 17.0, "to": 30.0, "z": -18.3},
-    {"statistic": "lost_share", "axis": "azimuth_rad", "from": -math.pi, "to": math.pi / 2, "z": 6.7},
+    {
+        "statistic": "log_intensity_ratio",
+        "axis": "range_m",
+        "from": 17.0,
+        "to": 30.0,
+        "z": -18.3,
+        "departure": -0.52,
+        "unit": "dB",
+    },
+    {
+        "statistic": "lost_share",
+        "axis": "azimuth_rad",
+        "from": -math.pi,
+        "to": math.pi / 2,
+        "z": 6.7,
+        "departure": 3.1,
+        "unit": "% of beams",
+    },
 ]
 RIPPLE = [round(0.05 * math.sin(3.0 * 0.5 * (a + b) + 0.4), 4) for a, b in itertools.pairwise(SECTORS)]
 EMPIRICAL = Empirical(
@@ -111,7 +129,9 @@ def curves(study: Study, *, size: float, left: float | None) -> tuple[Curve, ...
             before = -size * np.linspace(0.4, 1.0, bins) + rng.standard_normal(bins)
             before[-1] = np.nan
             after = None if left is None else left * rng.standard_normal(bins)
-            found.append(Curve(statistic, axis, edges, one.id, before, after))
+            unit = {"log_intensity_ratio": "dB", "lost_share": "% of beams"}.get(statistic, "returns per frame")
+            natural = NaturalDeparture(unit, 0.1 * before, None if after is None else 0.1 * after, np.full(bins, 0.1))
+            found.append(Curve(statistic, axis, edges, one.id, before, after, natural))
     return tuple(found)
 
 
@@ -122,7 +142,30 @@ def responses(study: Study) -> tuple[Response, ...]:
     shape[-1] = np.nan
     given = [(None, shape + rng.standard_normal(len(shape)))]
     given += [(one["name"], shape * share) for one, share in zip(CANDIDATES, (1.0, 0.5, -0.2), strict=True)]
-    return tuple(Response("log_intensity_ratio", "range_m", RANGE_M, name, values) for name, values in given)
+    return tuple(
+        Response("log_intensity_ratio", "range_m", RANGE_M, name, values, 0.03 * values, "dB") for name, values in given
+    )
+
+
+def places(study: Study, *, fitted: bool) -> Places:
+    """A scan of 4 x 6 cells, of which the first row departs by 1 dB and one cell holds nothing."""
+    before = np.where(np.arange(24) < 6, 1.0, 0.02)
+    before[-1] = np.nan
+    values = CellValues(
+        "intensity over clear air's",
+        "dB",
+        before[None],
+        np.zeros((1, 24)),
+        None,
+        np.zeros(24),
+        shape=(4, 6),
+        x_name="azimuth, degrees",
+        y_name="ring, from the first",
+        extent=(180.0, -180.0, 16.0, 0.0),
+        frame=np.full((16, 24), 0.5),
+    )
+    (first, *_) = [one.id for one in study.fit if one.weather is not None]
+    return Places(first, 5, values, before, 0.01 * before if fitted else None, np.full(24, 0.1))
 
 
 def residuals(study: Study, *, fitted: bool) -> ResidualMap:
@@ -173,4 +216,5 @@ def report(verdict: str, study: Study, **more: Any) -> GapReport:
         EMPIRICAL if verdict == "unknown" else None,
         () if nothing else responses(study),
         residuals(study, fitted=not nothing),
+        places(study, fitted=not nothing),
     )

@@ -20,7 +20,7 @@ from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.report.gap_figures import curve_uri, residual_uri, response_uri
 from torchweather.report.gap_page import write_gap
-from torchweather.report.gap_words import exact_twins, verdict_sentence
+from torchweather.report.gap_words import exact_twins, group_name, parameter_rows, verdict_sentence
 
 VERDICTS = ("none", "named", "named_and_rest", "unknown")
 
@@ -55,8 +55,8 @@ def test_the_page_is_whole_and_carries_everything(verdict: str, pages: dict[str,
     assert page.mistakes == []
     assert page.open == []
     images = [attrs for tag, attrs in page.elements if tag == "img"]
-    # Curves, the map, the held-out gap; responses of what was fitted; the curve that nothing explains.
-    assert len(images) == 3 + 2 + (verdict != "none") + (verdict == "unknown")
+    # The scan; curves, the map, the held-out gap; responses of what was fitted; the curve that nothing explains.
+    assert len(images) == 1 + 3 + 2 + (verdict != "none") + (verdict == "unknown")
     assert all(str(image["src"]).startswith("data:image/") and image["alt"] for image in images)
     ids = {attrs.get("id") for _, attrs in page.elements}
     for tag, attrs in page.elements:
@@ -86,29 +86,36 @@ def test_the_model_of_the_folder_holds_what_was_named(pages: dict[str, Path]) ->
 
 def test_a_named_effect_in_one_sentence(study: Study) -> None:
     assert verdict_sentence(report("named", study).answer) == (
-        "The simulation lacks window loss (lidar.window_loss): 0.0200 dB (0.0180 to 0.0220), confidence 0.97; "
-        "held-out gap 2.13 → 1.03, floor 1.00."
+        "The simulation lacks window loss (lidar.window_loss): loss 0.0200 dB (90 %: 0.0180 to 0.0220), confidence "
+        "0.97. Held-out conditions depart by 2.13 standard deviations before and 1.03 after; a perfect model scores "
+        "1.00, so 2.7 % of the excess is left."
     )
 
 
 def test_two_effects_their_rival_and_the_rest_in_one_paragraph(study: Study) -> None:
     assert verdict_sentence(report("named_and_rest", study).answer) == (
-        "The simulation lacks static structure (lidar.static_structure): azimuth_rad −0.520 rad, range_m 9.70 m, "
-        "width_rad 0.0310 rad, confidence over 0.99; and window loss (lidar.window_loss): 0.0200 dB (0.0180 to "
-        "0.0220), confidence 0.97; held-out gap 2.13 → 1.03, floor 1.00. These data cannot exclude sector loss in its "
-        "place. More is missing, which no effect of the catalogue explains (most of it in: "
+        "The simulation lacks static structure (lidar.static_structure): azimuth −29.8°, range 9.70 m, width 1.78°, "
+        "confidence over 0.99; and window loss (lidar.window_loss): loss 0.0200 dB (90 %: 0.0180 to 0.0220), "
+        "confidence 0.97. Held-out conditions depart by 2.13 standard deviations before and 1.03 after; a perfect "
+        "model scores 1.00, so 2.7 % of the excess is left. These data cannot exclude sector loss in its place. "
+        "More is missing, which no effect of the catalogue explains (most of it in: "
         "intensity over clear air's, over time)."
     )
 
 
 def test_nothing_and_unknown_name_no_effect(study: Study) -> None:
     nothing = verdict_sentence(report("none", study).answer)
-    assert nothing == "Nothing is missing that these data could show (p = 0.31); held-out gap 1.03, floor 1.00."
+    assert nothing == (
+        "Nothing is missing that these data could show (p = 0.31). Held-out conditions depart by 1.03 standard "
+        "deviations; a perfect model scores 1.00."
+    )
     unknown = verdict_sentence(report("unknown", study).answer)
     assert unknown.startswith("Something is missing that no effect of the catalogue explains (most of it in: intensity")
     assert "lidar." not in unknown
     nowhere = verdict_sentence(report("unknown", study, unknown=None).answer)
-    assert nowhere.startswith("Something is missing that no effect of the catalogue explains; held-out gap 2.13")
+    assert nowhere.startswith(
+        "Something is missing that no effect of the catalogue explains. Held-out conditions depart by 2.13"
+    )
 
 
 def test_a_parameter_that_was_not_fitted_and_does_nothing_is_left_out(study: Study) -> None:
@@ -119,7 +126,7 @@ def test_a_parameter_that_was_not_fitted_and_does_nothing_is_left_out(study: Stu
         "interval": {"exponent": [0.7, 0.9]},
     }
     said = verdict_sentence(report("named", study, effects=[effect]).answer)
-    assert "intensity compression (lidar.intensity_compression): 0.800 (0.700 to 0.900), confidence 0.97;" in said
+    assert "intensity compression (lidar.intensity_compression): exponent 0.800 (90 %: 0.700 to 0.900), conf" in said
 
 
 def test_what_tells_rivals_apart_is_the_catalogue_s(pages: dict[str, Path]) -> None:
@@ -129,7 +136,7 @@ def test_what_tells_rivals_apart_is_the_catalogue_s(pages: dict[str, Path]) -> N
     between = EFFECTS["lidar.window_loss"].confusable_with["lidar.threshold_shift"]
     assert f"threshold shift fits worse {between}" in words
     between = EFFECTS["lidar.window_loss"].confusable_with["lidar.wet_target"]
-    assert f"wet target explains less; not refitted {between}" in words
+    assert f"wet target explains less, by its response alone {between}" in words
 
 
 def test_a_search_of_some_effects_says_so_and_excludes_no_other(study: Study, tmp_path: Path) -> None:
@@ -162,8 +169,8 @@ def test_the_whole_catalogue_needs_no_word(pages: dict[str, Path]) -> None:
 
 def test_the_ranking_lists_candidates_without_idle_parameters(pages: dict[str, Path]) -> None:
     words = words_of(pages["named"])
-    assert re.search(r"window loss the window is wet or dirty loss_db 0\.0200 dB 812 431 threshold shift", words)
-    assert "exponent 0.970 377 866" in words
+    assert re.search(r"window loss the window is wet or dirty loss 0\.0200 dB 97 % 812 431 threshold shift", words)
+    assert "exponent 0.970 0.7 % 377 866" in words
     assert "saturation" not in words
     assert "Ranking" not in words_of(pages["none"])
 
@@ -181,12 +188,12 @@ def test_the_record_is_shown_in_its_own_uncertainty(pages: dict[str, Path], stud
 def test_held_out_conditions_are_named(pages: dict[str, Path], study: Study) -> None:
     (held,) = [one for one in study.holdout if one.weather is not None]
     assert f"Held out: {held.id} (" in words_of(pages["named"])
-    assert "before and 1.03 after (90 % interval 0.940 to 1.13)" in words_of(pages["named"])
+    assert "The 90 % interval of the departure after is 0.940 to 1.13." in words_of(pages["named"])
     assert "Nothing was added, so before and after are one." in words_of(pages["none"])
 
 
 def test_angles_are_in_degrees_as_on_the_axis(pages: dict[str, Path]) -> None:
-    assert "azimuth, degrees −180 90 +6.7" in words_of(pages["named"])
+    assert "azimuth, degrees −180 90 +3.10 % of beams +6.7" in words_of(pages["named"])
 
 
 def svg(uri: str) -> str:
@@ -237,8 +244,8 @@ def test_names_of_conditions_are_escaped(study: Study, tmp_path: Path) -> None:
 
 def test_what_no_effect_explains_has_its_curve_formula_and_stage_on_the_page(pages: dict[str, Path]) -> None:
     words = words_of(pages["unknown"])
-    assert "Intensity over clear air's, by azimuth: no other statistic departs as significantly" in words
-    assert "It is loudest from −112 to −90 (azimuth, degrees): +7.4 standard deviations." in words
+    assert "Intensity over clear air's, by azimuth: of all statistics this one departs most significantly" in words
+    assert "It is largest from −112 to −90 (azimuth, degrees): +7.4 standard deviations." in words
     assert "a sine: 0.0513 sin(3 azimuth_rad + 0.4) , ln(intensity ratio); χ² per degree of freedom 1.13" in words
     assert "intensity, valid between −158 and 180 (azimuth, degrees); in model.yaml" in words
     assert 'read_model("model.yaml").apply(LidarWeather(weather, sensor), empirical=True)' in words
@@ -296,3 +303,134 @@ def test_a_response_is_drawn_for_the_measurement_and_every_effect() -> None:
 
 def test_versions_stand_on_the_page(pages: dict[str, Path]) -> None:
     assert f"torch {torch.__version__}, numpy {np.__version__}, Python" in words_of(pages["none"])
+
+
+# ---- for a sensor engineer -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_no_word_of_the_method_stands_on_the_page_without_its_definition(verdict: str, pages: dict[str, Path]) -> None:
+    words = words_of(pages[verdict]).lower()
+    for private in ("scatters", "floor", "entries", "nuisance", "whitened", "held-out gap"):
+        assert private not in words, private
+    assert "missing is what acts in the measured frames and not in the simulated ones" in words
+    assert "standard deviation of chance is that of the difference between two simulations" in words
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_missing_means_one_thing(verdict: str, pages: dict[str, Path]) -> None:
+    """What the simulation lacks; never what the study or the catalogue lacks."""
+    words = words_of(pages[verdict])
+    assert "What the study lacks" not in words
+    assert "missing from the catalogue" not in words
+    assert "found missing." not in words
+
+
+def test_the_page_goes_from_the_sentence_to_the_data_that_would_decide(pages: dict[str, Path]) -> None:
+    page = (pages["named"] / "report.html").read_text(encoding="utf-8")
+    titles = [re.sub("<[^>]*>", "", one).strip() for one in re.findall(r"<h2[^>]*>(.*?)</h2>", page, re.DOTALL)]
+    assert titles[:5] == ["Where", "What", "Ranking", "What remains", "What data would decide"]
+
+
+def test_the_record_s_alarm_stands_beside_the_headline(pages: dict[str, Path]) -> None:
+    words = words_of(pages["named"])  # a record of 10 %, moved by up to 42 %
+    assert words.index("The weather record is in doubt.") < words.index("Where")
+    assert "of its standard deviations)" in words
+
+
+def test_a_record_within_its_uncertainty_is_no_alarm(study: Study, tmp_path: Path) -> None:
+    moved = {"rate_factor": 1.0, "by_condition": {one.id: 1.01 for one in study.fit if one.weather is not None}}
+    write_gap(tmp_path / "out", study, report("named", study, nuisance=moved))
+    assert "in doubt" not in words_of(tmp_path / "out")
+
+
+def test_the_scan_counts_the_places_that_depart(pages: dict[str, Path]) -> None:
+    words = words_of(pages["named"])
+    assert "more than 3 standard deviations of chance apart: 6 of 23. By chance alone it would be one or none." in words
+
+
+@pytest.mark.parametrize(
+    ("ends", "text"),
+    [
+        ([0.018, 0.022], "0.0180 to 0.0220"),
+        ([0.0, 0.022], "0.0220 or less"),
+        ([0.018, 30.0], "0.0180 or more"),
+        ([0.0, 30.0], "not determined by these data"),
+    ],
+)
+def test_an_end_of_the_search_is_no_end_of_an_interval(ends: list[float], text: str) -> None:
+    (row,) = parameter_rows({**WINDOW_LOSS, "interval": {"loss_db": ends}})
+    assert row["interval"] == text
+
+
+def test_an_interval_over_a_whole_turn_is_no_interval() -> None:
+    """Answers hold six digits of pi."""
+    effect = {"name": "lidar.sector_loss", "parameters": {"azimuth_rad": 0.5}}
+    declared = next(one for one in EFFECTS["lidar.sector_loss"].arguments if one.name == "azimuth_rad")
+    ends = [float(f"{end:.6g}") for end in (declared.low, declared.high)]
+    assert (
+        parameter_rows({**effect, "interval": {"azimuth_rad": ends}})[0]["interval"] == "not determined by these data"
+    )
+
+
+def test_a_value_on_its_bound_is_said_in_sentence_table_and_confidence(study: Study, tmp_path: Path) -> None:
+    loss = {**WINDOW_LOSS, "parameters": {"loss_db": 30.0}, "interval": {"loss_db": [24.0, 30.0]}}
+    loss |= {"at_bound": {"loss_db": "highest"}, "beside_bound": []}
+    zone = {
+        "name": "lidar.blind_zone",
+        "parameters": {"range_m": 2.0},
+        "interval": {"range_m": [1.5, 2.5]},
+        "confidence": 0.8,
+        "confusable_with": [],
+        "at_bound": {},
+        "beside_bound": ["lidar.window_loss"],
+    }
+    write_gap(tmp_path / "out", study, report("named", study, effects=[loss, zone]))
+    words = words_of(tmp_path / "out")
+    assert "loss 30.0 dB (90 %: 24.0 or more)" in words
+    assert (
+        "The loss of window loss is the highest value that is searched, 30.0 dB: the true one may be higher." in words
+    )
+    assert "24.0 or more the highest value searched" in words
+    assert "confidence 0.80, lowered: window loss beside it ends where the search does" in words
+    assert (
+        "Confidence 0.80: its posterior, below, times the share of right names in development studies. It is" in words
+    )
+
+
+def test_a_curve_is_drawn_in_its_own_unit_and_in_standard_deviations(study: Study) -> None:
+    members = [one for one in report("named", study).curves if one.statistic == "lost_share"]
+    shown = re.findall(r"<!-- (.*?) -->", svg(curve_uri(members)))
+    assert {"% of beams", "standard deviations,"} <= set(shown)
+
+
+@pytest.mark.parametrize(("size", "label"), [(5.0, "measured − simulated"), (400.0, "logarithmic beyond ±3")])
+def test_a_scale_is_linear_or_labelled(size: float, label: str) -> None:
+    curve = Curve("lost_share", "range_m", (0.0, 10.0, 20.0), "c0", np.array([size, -1.0]), None)
+    assert label in re.findall(r"<!-- (.*?) -->", svg(curve_uri([curve])))
+
+
+def test_classes_have_their_names_on_the_axis() -> None:
+    curve = Curve("lost_target_share", "target_class", (-0.5, 0.5, 1.5), "c0", np.array([3.0, -1.0]), None)
+    shown = re.findall(r"<!-- (.*?) -->", svg(curve_uri([curve])))
+    assert {"0", "1"} <= set(shown)
+    assert "−0.5" not in shown
+
+
+@pytest.mark.parametrize(
+    ("kind", "transform"), [("lidar", "LidarWeather"), ("camera", "BayerWeather"), ("radar", "RadarAttenuation")]
+)
+def test_the_lines_of_code_are_of_the_study_s_sensor(kind: str, transform: str, tmp_path: Path) -> None:
+    study = studies.study(kind)
+    write_gap(tmp_path / "out", study, report("named", study))
+    words = words_of(tmp_path / "out")
+    assert f'repaired = {transform}(weather, sensor, effects=read_model("model.yaml"))' in words
+    assert f"from torchweather import {transform}" in words
+
+
+def test_neighbouring_axes_have_names_of_their_own() -> None:
+    near, far = (group_name("log_ratio_green", f"elevation_rad_{where}") for where in ("near", "far"))
+    assert (near, far) == (
+        "Green light over clear air's, by elevation, near by",
+        "Green light over clear air's, by elevation, far",
+    )

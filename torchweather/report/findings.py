@@ -21,5 +21,7 @@ def study_section(findings: Sequence[Finding]) -> Section:
     """All findings in a table."""
     words = (parts.Column(title, "words") for title in ("What", "What it costs", "What to do"))
     rows = [(each.level, each.what, each.cost, each.advice) for each in findings]
-    table = parts.Table(["Level", *words], rows, look="tops") if rows else parts.Paragraph("Nothing was found missing.")
-    return Section("What the study lacks", [table], id="study")
+    table = (
+        parts.Table(["Level", *words], rows, look="tops") if rows else parts.Paragraph("Nothing stands against them.")
+    )
+    return Section("The data of the study", [table], id="study")

@@ -7,22 +7,33 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from torchweather.gap.gap_report import excess_left
+from torchweather.gap.natural_units import DB_PER_NEPER
+from torchweather.pipeline.effect import Parameter
 from torchweather.report.tables import number_text, signed_text
 from torchweather.stages.catalogue import EFFECTS
 
 __all__ = [
     "WHOLE",
+    "along",
     "axis_name",
     "bound_sentence",
     "confidence_text",
+    "curve_unit",
     "edge_text",
     "effect_name",
     "exact_twins",
+    "excess_text",
     "formula_words",
+    "gap_sentence",
     "group_name",
     "headline",
+    "listed",
+    "parameter_name",
     "parameter_rows",
+    "posterior_text",
     "probability_text",
+    "signed_decimal",
     "signed_text",
     "statistic_name",
     "verdict_sentence",
@@ -107,7 +118,7 @@ AXES = {
     "up": "upward part of the surface's normal",
     "log_intensity": "intensity in clear air, as the sensor gives it",
     "particle_range_m": "range of the particle, m",
-    "isolated": "0 extended, 1 thin target",
+    "isolated": "kind of target",
     "every_beam": "every beam alike",
     "all_targets": "of all targets",
     "target_class": "class of the target",
@@ -167,10 +178,13 @@ SILENT_TWINS = {
     "lidar.threshold_shift": "a loss at the window (lidar.window_loss)",
 }
 WHOLE = ("frame", "time", "place", "all_targets")  # axes with one bin
-SURE = 0.995
+SURE, CERTAIN, NEARLY = 0.995, 0.999, 99.5  # of a confidence, of a posterior, of that in per cent
 BEYOND = {"lowest": "lower", "highest": "higher"}
 UNDETERMINED = "not determined by these data"  # an interval from one end of the search to the other
+SAME = 1e-5  # relative: answers have six digits
+UNIT_ENDING = re.compile(r"_(db|rad|m|px|min|m_per_s)$")  # of a parameter's name
 TINY_P = 1e-6
+LEAST_PER_CENT, ONE_DECIMAL = 0.05, 9.95  # of a percentage: below it none is shown; with one decimal
 NO_END = 1e4  # an edge from it on is none
 SKY_FROM_M = 1e4  # a depth beyond it is the sky's
 LAGGED = re.compile(r"([a-z_]+)_(-?\d+)_(-?\d+)_px")  # of two pixels: down and to the right
@@ -205,6 +219,17 @@ def axis_name(name: str) -> str:
     return AXES.get(name, name.replace("_", " "))
 
 
+def along(axis: str) -> str:
+    """An axis without its unit, behind ``by``.
+
+    Example:
+        >>> along("range_m"), along("elevation_rad_near"), along("target_class")
+        ('range', 'elevation, near by', 'class of the target')
+    """
+    name = axis_name(axis)
+    return (name.rpartition(",")[0] or name).removesuffix(" in clear air")
+
+
 def group_name(statistic: str, axis: str) -> str:
     """A statistic with its axis, for a row of a table.
 
@@ -214,9 +239,24 @@ def group_name(statistic: str, axis: str) -> str:
     """
     if axis == "isolated":  # the statistic's name says so
         return statistic_name(statistic)
-    along = axis_name(axis).partition(",")[0].removesuffix(" in clear air")
     word = "" if axis in WHOLE else "by "
-    return f"{statistic_name(statistic)}, {word}{along}"
+    return f"{statistic_name(statistic)}, {word}{along(axis)}"
+
+
+def curve_unit(unit: str) -> tuple[str, float]:
+    """Unit in which a page shows a curve of an answer, and the factor to it.
+
+    Example:
+        >>> curve_unit("ln(intensity ratio)")[0], curve_unit("share of beams"), curve_unit("m")
+        ('intensity ratio, dB', ('beams, %', 100.0), ('m', 1.0))
+    """
+    if unit == "ln(intensity ratio)":
+        return "intensity ratio, dB", DB_PER_NEPER
+    if unit == "standard deviation of ln(intensity)":
+        return "standard deviation of the intensity, dB", DB_PER_NEPER
+    if unit.startswith("share of "):
+        return f"{unit.removeprefix('share of ')}, %", 100.0
+    return unit, 1.0
 
 
 def formula_words(name: str) -> str:
@@ -267,10 +307,23 @@ def probability_text(p: float) -> str:
     """A p-value with two significant digits.
 
     Example:
-        >>> [probability_text(p) for p in (0.4567, 0.00214, 1e-30)]
-        ['0.46', '0.0021', 'below 0.000001']
+        >>> [probability_text(p) for p in (0.4567, 0.00214, 3.9e-6, 1e-30)]
+        ['0.46', '0.0021', '0.0000039', 'below 0.000001']
     """
-    return f"below {TINY_P:f}" if p < TINY_P else f"{p:.2g}"
+    if p < TINY_P:
+        return f"below {TINY_P:f}"
+    return f"{float(f'{p:.2g}'):.7f}".rstrip("0")
+
+
+def signed_decimal(value: float) -> str:
+    """A number with one decimal and its sign, which 0 has not.
+
+    Example:
+        >>> signed_decimal(-3.14), signed_decimal(0.52), signed_decimal(-0.04)
+        ('−3.1', '+0.5', '0.0')
+    """
+    text = f"{value:+.1f}"
+    return "0.0" if float(text) == 0 else text.replace("-", "−")
 
 
 def confidence_text(confidence: float) -> str:
@@ -283,8 +336,22 @@ def confidence_text(confidence: float) -> str:
     return "over 0.99" if confidence > SURE else f"{confidence:.2f}"
 
 
+def posterior_text(weight: float) -> str:
+    """A posterior in per cent, never as certain, nor as impossible.
+
+    Example:
+        >>> [posterior_text(value) for value in (1.0, 0.973, 0.0712, 0.0004)]
+        ['over 99.9 %', '97 %', '7.1 %', 'below 0.1 %']
+    """
+    if weight > CERTAIN or weight < 1.0 - CERTAIN:
+        return "over 99.9 %" if weight > CERTAIN else "below 0.1 %"
+    return f"{100.0 * weight:.0f} %" if ONE_DECIMAL <= 100.0 * weight <= NEARLY else f"{100.0 * weight:.1f} %"
+
+
 def parameter_rows(effect: Mapping[str, Any]) -> list[dict[str, str]]:
     """Parameters of a found effect with unit and interval; those that were not fitted and do nothing are left out.
+
+    ``words`` is the parameter in plain words: ``azimuth −29.8°`` of an ``azimuth_rad``.
 
     Args:
         effect: of the answer's ``effects``.
@@ -297,25 +364,103 @@ def parameter_rows(effect: Mapping[str, Any]) -> list[dict[str, str]]:
         if name not in interval and one is not None and one.identity == float(value):
             continue
         unit = "" if one is None or one.unit == "1" else one.unit
-        between = " to ".join(signed_text(end) for end in interval[name]) if name in interval else ""
-        if name in interval and one is not None and list(interval[name]) == [one.low, one.high]:
-            between = UNDETERMINED
-        does_nothing = "" if one is None or one.identity is None else signed_text(one.identity)
         rows.append(
-            {"name": name, "value": signed_text(value), "unit": unit, "interval": between, "identity": does_nothing}
+            {
+                "name": name,
+                "value": signed_text(value),
+                "unit": unit,
+                "interval": _interval_text(interval[name], one) if name in interval else "",
+                "identity": "" if one is None or one.identity is None else signed_text(one.identity),
+                "words": f"{parameter_name(name)} {_with_unit(value, unit)}",
+            }
         )
     return rows
 
 
+def parameter_name(name: str) -> str:
+    """A parameter in words, without its unit.
+
+    Example:
+        >>> parameter_name("azimuth_rad"), parameter_name("db_per_ring"), parameter_name("loss_db")
+        ('azimuth', 'db per ring', 'loss')
+    """
+    return UNIT_ENDING.sub("", name).replace("_", " ")
+
+
+def _with_unit(value: float | str, unit: str) -> str:
+    """A value with its unit; angles in degrees."""
+    if unit == "rad":
+        return f"{signed_text(math.degrees(float(value)))}°"
+    return f"{signed_text(value)} {unit}".strip()
+
+
+def _interval_text(interval: Sequence[float | str], declared: Parameter | None) -> str:
+    """A central 90 % interval; one that reaches an end of what is searched is open there.
+
+    Example:
+        >>> loss = EFFECTS["lidar.window_loss"].arguments[0]
+        >>> _interval_text([1.5, 2.5], loss), _interval_text([loss.low, 2.5], loss)
+        ('1.50 to 2.50', '2.50 or less')
+        >>> _interval_text([loss.low, loss.high], loss)
+        'not determined by these data'
+    """
+    low, high = (float(end) for end in interval)
+    if declared is None:
+        return f"{signed_text(low)} to {signed_text(high)}"
+    opens = [_same(low, declared.low), _same(high, declared.high)]
+    if all(opens):
+        return UNDETERMINED
+    if opens[0]:
+        return f"{signed_text(high)} or less"
+    return f"{signed_text(low)} or more" if opens[1] else f"{signed_text(low)} to {signed_text(high)}"
+
+
+def _same(value: float, bound: float) -> bool:
+    """True for a bound as an answer holds it."""
+    return value == bound or (math.isfinite(bound) and math.isclose(value, bound, rel_tol=SAME, abs_tol=1e-9))
+
+
 def headline(answer: Mapping[str, Any]) -> str:
     """The verdict in a few words."""
-    names = _listed([effect_name(effect["name"]) for effect in answer["effects"]])
+    names = listed([effect_name(effect["name"]) for effect in answer["effects"]])
     return {
         "none": "Nothing found missing",
         "named": f"Missing: {names}",
         "named_and_rest": f"Missing: {names}, and more",
         "unknown": "Something unknown is missing",
     }[answer["verdict"]]
+
+
+def gap_sentence(answer: Mapping[str, Any]) -> str:
+    """The held-out departure before and after, what a perfect model scores, and the share of the excess left."""
+    gap = answer["gap"]
+    before, after, perfect = (number_text(gap[name]) for name in ("before", "after", "floor"))
+    if answer["verdict"] == "none":
+        return f"Held-out conditions depart by {before} standard deviations; a perfect model scores {perfect}."
+    if answer["verdict"] == "unknown":
+        text = f"Held-out conditions depart by {before} standard deviations, and by {after} with the best effects"
+    else:
+        text = f"Held-out conditions depart by {before} standard deviations before and {after} after"
+    left = excess_text(gap)
+    return f"{text}; a perfect model scores {perfect}" + (f", so {left} of the excess is left." if left else ".")
+
+
+def excess_text(gap: Mapping[str, Any]) -> str:
+    """Share of the held-out departure beyond a perfect model's that is left, in words; empty where there is none.
+
+    Example:
+        >>> [excess_text({"before": 3.0, "after": after, "floor": 1.0}) for after in (1.5, 1.1, 0.9)]
+        ['25 %', '5.0 %', 'nothing']
+        >>> excess_text({"before": 1.05, "after": 0.9, "floor": 1.0})
+        ''
+    """
+    left = excess_left(float(gap["before"]), float(gap["after"]), float(gap["floor"]))
+    if left is None:
+        return ""
+    per_cent = 100.0 * left
+    if per_cent < LEAST_PER_CENT:
+        return "less than 0.1 %" if per_cent > 0 else "nothing"
+    return f"{per_cent:.1f} %" if per_cent < ONE_DECIMAL else f"{per_cent:.0f} %"
 
 
 def verdict_sentence(answer: Mapping[str, Any]) -> str:
@@ -327,30 +472,24 @@ def verdict_sentence(answer: Mapping[str, Any]) -> str:
     Example:
         >>> gap = {"before": 2.13, "after": 1.02, "floor": 1.0, "interval_after": [0.9, 1.1], "split": "holdout"}
         >>> print(verdict_sentence({"verdict": "none", "effects": [], "gap": {**gap, "after": 2.13}, "p_value": 0.31}))
-        Nothing is missing that these data could show (p = 0.31); held-out gap 2.13, floor 1.00.
+        Nothing is missing that these data could show (p = 0.31). Held-out conditions depart by 2.13 standard deviations; a perfect model scores 1.00.
         >>> loss = {"name": "lidar.window_loss", "parameters": {"loss_db": 0.02}, "interval": {"loss_db": [0.018, 0.022]},
         ...         "confidence": 0.97, "confusable_with": []}
         >>> print(verdict_sentence({"verdict": "named", "effects": [loss], "gap": gap, "p_value": 1e-9}))
-        The simulation lacks window loss (lidar.window_loss): 0.0200 dB (0.0180 to 0.0220), confidence 0.97; held-out gap 2.13 → 1.02, floor 1.00.
+        The simulation lacks window loss (lidar.window_loss): loss 0.0200 dB (90 %: 0.0180 to 0.0220), confidence 0.97. Held-out conditions depart by 2.13 standard deviations before and 1.02 after; a perfect model scores 1.00, so 1.8 % of the excess is left.
     """  # noqa: E501
-    gap = answer["gap"]
-    floor = f"floor {number_text(gap['floor'])}"
-    change = f"held-out gap {number_text(gap['before'])} → {number_text(gap['after'])}, {floor}"
     if answer["verdict"] == "none":
         chance = probability_text(answer["p_value"])
-        return (
-            f"Nothing is missing that these data could show (p = {chance}); held-out gap {number_text(gap['before'])}, "
-            f"{floor}."
-        )
+        return f"Nothing is missing that these data could show (p = {chance}). {gap_sentence(answer)}"
     if answer["verdict"] == "unknown":
-        return f"Something is missing that no effect of the catalogue explains{_seen(answer)}; {change}."
+        return f"Something is missing that no effect of the catalogue explains{_seen(answer)}. {gap_sentence(answer)}"
     found = "; and ".join(_lack(effect) for effect in answer["effects"])
-    text = f"The simulation lacks {found}; {change}."
+    text = f"The simulation lacks {found}. {gap_sentence(answer)}"
     for effect in answer["effects"]:
         text += "".join(f" {bound_sentence(effect, *one)}" for one in effect.get("at_bound", {}).items())
     others = list(dict.fromkeys(name for effect in answer["effects"] for name in effect["confusable_with"]))
     if others:
-        text += f" These data cannot exclude {_listed([effect_name(name) for name in others], 'or')} in its place."
+        text += f" These data cannot exclude {listed([effect_name(name) for name in others], 'or')} in its place."
     if answer["verdict"] == "named_and_rest":
         text += f" More is missing, which no effect of the catalogue explains{_seen(answer)}."
     return text
@@ -367,26 +506,32 @@ def bound_sentence(effect: Mapping[str, Any], parameter: str, end: str) -> str:
     Example:
         >>> brighter = {"name": "lidar.particle_backscatter", "parameters": {"gain_db": 10.0}}
         >>> bound_sentence(brighter, "gain_db", "highest")
-        'gain_db of particle backscatter is the highest value that is searched, 10.0 dB: the true one may be higher.'
+        'The gain of particle backscatter is the highest value that is searched, 10.0 dB: the true one may be higher.'
     """
     declared = {one.name: one for one in EFFECTS[effect["name"]].arguments} if effect["name"] in EFFECTS else {}
-    unit = "" if parameter not in declared or declared[parameter].unit == "1" else f" {declared[parameter].unit}"
+    unit = "" if parameter not in declared or declared[parameter].unit == "1" else declared[parameter].unit
     return (
-        f"{parameter} of {effect_name(effect['name'])} is the {end} value that is searched, "
-        f"{signed_text(effect['parameters'][parameter])}{unit}: the true one may be {BEYOND[end]}."
+        f"The {parameter_name(parameter)} of {effect_name(effect['name'])} is the {end} value that is searched, "
+        f"{_with_unit(effect['parameters'][parameter], unit)}: the true one may be {BEYOND[end]}."
     )
 
 
 def _lack(effect: Mapping[str, Any]) -> str:
     rows = parameter_rows(effect)
+    # What the data do not tell, or what does nothing, is in the table alone.
+    told = [row for row in rows if row["interval"] != UNDETERMINED and row["value"] != row["identity"]] or rows
     parts = []
-    for row in rows:
-        value = f"{row['value']} {row['unit']}".strip()
+    for row in told:
         # Of several parameters the intervals would drown the rest; the table has them.
-        alone = f"{value} ({row['interval']})" if row["interval"] else value
-        parts.append(alone if len(rows) == 1 else f"{row['name']} {value}")
+        alone = len(told) == 1 and row["interval"]
+        between = row["interval"] if row["interval"] == UNDETERMINED else f"90 %: {row['interval']}"
+        parts.append(f"{row['words']} ({between})" if alone else row["words"])
     sure = confidence_text(effect["confidence"])
-    return f"{effect_name(effect['name'])} ({effect['name']}): {', '.join(parts)}, confidence {sure}"
+    text = f"{effect_name(effect['name'])} ({effect['name']}): {', '.join(parts)}, confidence {sure}"
+    if effect.get("beside_bound"):
+        text += ", lowered: " + listed([effect_name(name) for name in effect["beside_bound"]])
+        text += " beside it ends where the search does"
+    return text
 
 
 def _seen(answer: Mapping[str, Any]) -> str:
@@ -398,5 +543,6 @@ def _seen(answer: Mapping[str, Any]) -> str:
     return f" (most of it in: {name[0].lower()}{name[1:]})"
 
 
-def _listed(names: Sequence[str], word: str = "and") -> str:
+def listed(names: Sequence[str], word: str = "and") -> str:
+    """Names in a row: ``a, b and c``."""
     return f" {word} ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)

@@ -8,6 +8,14 @@ PAGE = "torchweather.report.page"
 
 MUTANTS = (
     Mutant(
+        "an_end_of_the_search_printed_as_an_interval",
+        "an interval is open where it reaches an end of the search",
+        "torchweather.report.gap_words",
+        "opens = [_same(low, declared.low), _same(high, declared.high)]",
+        "opens = [False, False]",
+        ("tests/report/test_gap_page.py::test_an_end_of_the_search_is_no_end_of_an_interval",),
+    ),
+    Mutant(
         "points_on_the_ground_counted_as_below",
         "particles under the ground are counted below the plane",
         "torchweather.report.view_flat",
