@@ -179,7 +179,7 @@ def _where(study: Study, report: GapReport, answer: Mapping[str, Any]) -> list[p
         found.append(parts.Paragraph("No statistic has enough in it to be compared."))
     if answer["where"]:
         heads: parts.Heads = ["Statistic", parts.Column("Axis", "words"), "From", "To"]
-        heads += [parts.Column("Departure", "left"), "Standard deviations"]
+        heads += [parts.Column("Mean departure", "left"), "Standard deviations"]
         found += [
             parts.Heading("The bins that depart most, all conditions together"),
             parts.Table(heads, [_bin(one) for one in answer["where"]]),
