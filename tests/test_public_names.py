@@ -18,6 +18,19 @@ def test_importing_the_library_does_not_import_torch() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_a_lidars_first_call_imports_nothing_for_graphs() -> None:
+    # sympy comes with torch.broadcast_shapes, torch.onnx with a look whether it is exporting: 0.7 s together.
+    code = """
+import sys
+import torch
+import torchweather as tw
+tw.LidarRain(tw.Rain(10.0), tw.Lidar.preset("velodyne-vlp-16"))(torch.tensor([[9.0, 1.0, 0.5, 40.0]]), seed=1)
+print([name for name in ("sympy", "torch.onnx") if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "[]"
+
+
 PARTS = (
     "export",
     "gap",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import torch
 import yaml
 
 from torchweather.core.errors import TorchweatherError
+from torchweather.pipeline.sensor import _preset, _preset_texts
 from torchweather.sensors import BAYER_PATTERNS, Camera, Lidar, Radar, Sensor, sensor_preset
 
 PLAIN: dict[str, Any] = {"width": 32, "height": 24, "fx": 100.0, "fy": 90.0}
@@ -276,3 +278,10 @@ def test_beyond_the_lens_undistorted_coordinates_stay_finite() -> None:
     inside = torch.hypot(x, x.T) < 0.65
     back = torch.stack(camera.distort(xu, yu))[:, inside]
     assert torch.allclose(back, torch.stack([x, x.T])[:, inside], atol=2e-3)
+
+
+def test_presets_parsed_one_by_one_are_those_of_the_whole_file() -> None:
+    text = resources.files("torchweather").joinpath("presets", "sensors.yaml").read_text(encoding="utf-8")
+    for kind, presets in yaml.safe_load(text).items():
+        assert list(_preset_texts()[kind]) == list(presets)
+        assert {name: _preset(kind, name) for name in presets} == presets

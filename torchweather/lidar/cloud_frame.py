@@ -9,6 +9,7 @@ sensor. ``Lidar.origin_m`` and ``Lidar.rotation`` say where:
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 
 import torch
@@ -145,7 +146,10 @@ def _raised(values: Tensor, local: Tensor, given: Tensor, height_m: Tensor) -> T
 
 def _in_graph() -> bool:
     """True while a graph is made, which computes in single precision."""
-    return torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export()
+    if torch.compiler.is_compiling():
+        return True
+    # To import torch.onnx takes a fifth of a second; what is not imported exports nothing.
+    return "torch.onnx" in sys.modules and torch.onnx.is_in_onnx_export()
 
 
 def _turned(columns: Sequence[Tensor], rotation: Rotation, *, back: bool) -> Sequence[Tensor]:
