@@ -7,6 +7,7 @@ is compiled again in every process. ``TORCHWEATHER_COMPILED=0`` leaves all work 
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable
 from functools import lru_cache
@@ -57,9 +58,21 @@ def uncontracted(function: F) -> F:
     return _compiled(function, set())
 
 
-def _compiled(function: F, fastmath: set[str]) -> F:
-    import numba
+@lru_cache
+def _numba() -> Any:
+    """The package. The garbage collector waits: it would go through all of torch again and again, 0.1 s of CPU."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        import numba
+    finally:
+        if was_enabled:
+            gc.enable()
+    return numba
 
+
+def _compiled(function: F, fastmath: set[str]) -> F:
+    numba = _numba()
     compiler: Any = numba.njit
     options = {"nogil": True, "fastmath": fastmath, "error_model": "numpy"}
     try:
