@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from torchweather.core.compiled import SWITCH
 from torchweather.core.random import (
     ABSENT,
     Variate,
@@ -63,6 +64,17 @@ def test_threads_change_nothing() -> None:
     big = Variate("noise", "normal", (1 << 19,))  # two of them pass THREADED_FROM
     together = draw_variates([5, 9], "stage", [big], SIZES)["stage.noise"]
     assert np.array_equal(together[1], draw_variates([9], "stage", [big], SIZES)["stage.noise"][0])
+
+
+@pytest.mark.parametrize("count", [4096, 8197, 65_536])
+def test_compiled_uniforms_are_the_bits_of_numpy(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")  # loaded, which a draw alone does not do
+    variate = Variate("u", "uniform", (2, "N"))
+    found = {}
+    for switch in ("1", "0"):
+        monkeypatch.setenv(SWITCH, switch)
+        found[switch] = draw_variates([3, -(2**62)], "stage", [variate], {"N": count})["stage.u"]
+    assert np.array_equal(found["1"], found["0"])
 
 
 @pytest.mark.parametrize(

@@ -15,14 +15,17 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from torchweather.core.compiled import jit
-from torchweather.core.device_normals import MULTIPLIERS, ROUNDS, WEYL
+from torchweather.core.philox import MULTIPLIERS, ROUNDS, WEYL
 
-__all__ = ["NORMALS_A_BLOCK", "draw_normals", "philox_words"]
+__all__ = ["NORMALS_A_BLOCK", "draw_normals", "draw_uniforms", "philox_words"]
 
 Words = NDArray[np.uint64]
 
 NORMALS_A_BLOCK = 16  # 4 words of 64 bits of a counter, 16 bits a normal
 MULTIPLIER_0, MULTIPLIER_1 = (np.uint64(one) for one in MULTIPLIERS)
+UNIFORMS_A_BLOCK = 8  # 32 bits a number, the lower ones first
+WORDS_AT_ONCE = 1024  # that stay in the cache; a multiple of 4
+OF_24_BITS = np.float32(2.0**-24)
 WEYL_0, WEYL_1 = (np.uint64(one) for one in WEYL)
 
 
@@ -72,3 +75,21 @@ def draw_normals(out: NDArray[np.float32], words: Words, key: Words, table: NDAr
     lanes = some.view(np.uint16)[first - NORMALS_A_BLOCK * block :]
     for at in range(out.size):
         out[at] = table[np.uint32(lanes[at])]
+
+
+@jit
+def draw_uniforms(out: NDArray[np.float32], key_0: np.uint64, key_1: np.uint64) -> None:
+    """Write numbers of the law [0, 1) as numpy's ``Generator.random`` gives them, from the stream's first on.
+
+    Args:
+        out: ``(n,)``, written.
+        key_0, key_1: of the stream.
+    """
+    words = np.empty(WORDS_AT_ONCE, np.uint64)
+    for start in range(0, out.size, 2 * WORDS_AT_ONCE):
+        some = out[start : start + 2 * WORDS_AT_ONCE]
+        blocks = (some.size + UNIFORMS_A_BLOCK - 1) // UNIFORMS_A_BLOCK
+        philox_words(words[: 4 * blocks], key_0, key_1, start // UNIFORMS_A_BLOCK)
+        halves = words.view(np.uint32)
+        for at in range(some.size):
+            some[at] = np.float32(halves[at] >> np.uint32(8)) * OF_24_BITS

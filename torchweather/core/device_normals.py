@@ -12,14 +12,11 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from torchweather.core.philox import MULTIPLIERS, ROUNDS, WEYL
 from torchweather.core.random import normal_table
 
-__all__ = ["MULTIPLIERS", "ROUNDS", "WEYL", "normals_by_torch"]
+__all__ = ["normals_by_torch"]
 
-ROUNDS = 10
-# Salmon et al. 2011, Philox 4 x 64.
-MULTIPLIERS = (0xD2E7470EE14C6C93, 0xCA5A826395121157)
-WEYL = (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)
 LOWER = 0xFFFFFFFF
 
 

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from torchweather.core.compiled import uses_compiled
 from torchweather.core.exceptions import InputTypeError, InputValueError
 
 # torch is imported where it is needed: the noise of an exported graph is drawn without it.
@@ -59,6 +60,7 @@ NORMALS_AT_ONCE = 1 << 16  # whose bits stay in the cache; a multiple of 4
 
 # Below this many numbers a thread costs more than it saves.
 THREADED_FROM = 1 << 19
+COMPILED_FROM = 1 << 12  # likewise of a compiled loop
 _MOST_SAMPLES = 1 << 31
 _MOST_SEED = 1 << 63
 
@@ -203,6 +205,11 @@ def _hashed(text: str) -> int:
 
 
 def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], out: NDArray[np.float32]) -> None:
+    if variate.law == "uniform" and out.size >= COMPILED_FROM and sys.byteorder == "little" and _has_loops():
+        from torchweather.core.compiled_philox import draw_uniforms
+
+        draw_uniforms(out.reshape(-1), *_key(seed, stream))
+        return
     generator = keyed_stream(seed, stream)
     if variate.law == "uniform":
         generator.random(out=out, dtype=np.float32)
@@ -219,6 +226,11 @@ def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], ou
         mean = variate.mean_points(sizes)
         level = (np.cumsum(gaps) / mean if mean > 0 else np.full(len(out), ABSENT)).astype(np.float32)
         out[:, -1] = np.where(level < 1.0, level, np.float32(ABSENT))
+
+
+def _has_loops() -> bool:
+    """True where numba is there and loaded: its numbers are the same bits, and to load it takes half a second."""
+    return "numba" in sys.modules and uses_compiled()
 
 
 @lru_cache(maxsize=1)
