@@ -621,7 +621,7 @@ class ParticleReturns(Stage):
         def solved(own: Tensor) -> ReturnTable:
             if isinstance(part, BeamParticles):
                 return ReturnTable.compiled(part.compiled_between(self.beam, own))
-            return ReturnTable.compiled(*part.tables(self.beam, own))
+            return ReturnTable.compiled(*part.compiled_tables(self.beam, own))
 
         inputs = [extinction, *part.parameters_of_table(), *self.beam.buffers()]
         return self._kept_table(f"{kind} compiled", inputs, solved)

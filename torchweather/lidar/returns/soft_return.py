@@ -39,6 +39,7 @@ from functools import lru_cache
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.special import ndtri_exp
 from torch import Tensor, nn
 
@@ -70,6 +71,8 @@ SLOPE_SQUARE = math.pi**2 / 3.0
 RISING = 1e-3
 # Largest value of a fog's waveform, by fog without its visibility, sensor, backscatter and receiver.
 _MOST: dict[tuple[Fog, Lidar, str, str], float] = {}
+# What does not depend on the weather of a waveform, by receiver, grid and beam.
+_LIGHT: dict[tuple[str | float, ...], tuple[NDArray[np.float32], ...]] = {}
 KEPT = 64
 
 
@@ -187,6 +190,17 @@ class SoftReturn(nn.Module):
         air: BanksAlongBeams | None = None,
     ) -> tuple[Tensor, Tensor]:
         """S and its change per metre: the pulse begins and ends with nothing, so that only its shape moves."""
+        source_m, pulse, changing = self._sources(beam, range_m)
+        extinction = extinction_per_m.reshape(-1, *([1] * source_m.ndim))
+        way_m = source_m if air is None else air.way_m(source_m)
+        response = beam.particle_response(source_m) / source_m.square() * torch.exp(-2.0 * extinction * way_m)
+        if air is not None:
+            response = response * air.density_at(source_m)
+        beta = self.backscatter_per_m_sr(mor_m).reshape(-1, *([1] * range_m.ndim)) * self.pulse_length_m
+        return beta * (response * pulse).sum(-1), beta * (response * changing).sum(-1)
+
+    def _sources(self, beam: Beam, range_m: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Places where a value's light comes from, their weights and the change of those, ``(..., 2 PULSE_NODES)``."""
         # Where in the fog the light comes from, (..., 2 PULSE_NODES): the part of the pulse that meets the rising
         # response and that which meets the full one. f is smooth in each: S has no ripples however short the rise.
         reach_m = self.pulse_length_m * (2.0 if self.receiver == "matched" else 1.0)
@@ -199,16 +213,9 @@ class SoftReturn(nn.Module):
         source_m = torch.stack([begin_m, full_m], -1)[..., None] + lengths_m * place
         weight = 0.5 * self.pulse_weight * lengths_m / self.pulse_length_m
         phase = (range_m[..., None, None] - source_m) * (math.pi / self.pulse_length_m)
-        source_m = source_m.flatten(-2)
-        extinction = extinction_per_m.reshape(-1, *([1] * source_m.ndim))
-        way_m = source_m if air is None else air.way_m(source_m)
-        response = beam.particle_response(source_m) / source_m.square() * torch.exp(-2.0 * extinction * way_m)
-        if air is not None:
-            response = response * air.density_at(source_m)
-        beta = self.backscatter_per_m_sr(mor_m).reshape(-1, *([1] * range_m.ndim)) * self.pulse_length_m
         shape, steepness = self._pulse(phase)
-        pulse, changing = (weight * shape).flatten(-2), (weight * steepness / self.pulse_length_m).flatten(-2)
-        return beta * (response * pulse).sum(-1), beta * (response * changing).sum(-1)
+        changing = weight * steepness / self.pulse_length_m
+        return source_m.flatten(-2), (weight * shape).flatten(-2), changing.flatten(-2)
 
     def _pulse(self, phase: Tensor) -> tuple[Tensor, Tensor]:
         """Share of a hard target's peak that light from another place adds, and its change per pulse length.
@@ -255,13 +262,66 @@ class SoftReturn(nn.Module):
         The weight is that of a reading between two nodes. Arguments as of ``between``.
         """
         photons, slope = self._photons(beam, extinction_per_m, density_scale, air)
-        steep, risen, mills = slope.abs(), self._risen(photons), self._read(self.mills_table, photons)
-        chance = torch.exp(-0.5 * steep.square()) / math.sqrt(2.0 * math.pi) - steep * torch.special.ndtr(-steep)
-        per_m = mills * chance.clamp_min(0.0)[:, None]
+        risen, mills = self._risen(photons), self._read(self.mills_table, photons)
+        chance, alike = self._crossings(slope)
+        per_m = mills * chance[:, None]
         crossed = self.grid.integrated(_apart(per_m)) * (math.sqrt(SLOPE_SQUARE) / self.pulse_length_m)
-        alike = torch.exp(-0.5 * slope.square())
         weight = self.grid.integrated(_apart(mills * alike[:, None]))
         return risen + crossed, weight + RISING * risen
+
+    def compiled_tables(self, beam: Beam, extinction_per_m: Tensor) -> tuple[Tensor, Tensor]:
+        """As ``tables`` in air without effects, by compiled loops; to rounding.
+
+        Args:
+            beam: the sensor's.
+            extinction_per_m: ``(B,)`` of all weather together.
+        """
+        from torchweather.lidar.returns.compiled_fog import Readings, count_readings, light_of_fog
+
+        response, source_m, pulse, changing = self._light_of(beam)
+        readings = Readings(*_by_photons(self.root_low, self.root_high))
+        batch, shape = len(extinction_per_m), self.grid.quadrature_m.shape
+        light, per_m = torch.empty(batch, *shape), torch.empty(batch, *shape)
+        for sample, extinction in enumerate(extinction_per_m.tolist()):
+            own, own_per_m = light[sample].reshape(-1).numpy(), per_m[sample].reshape(-1).numpy()
+            light_of_fog(own, own_per_m, response, source_m, pulse, changing, np.float32(extinction))
+        beta = self.backscatter_per_m_sr(self.mor_m.reshape(-1)).reshape(-1, 1, 1) * self.pulse_length_m
+        photons, slope = self._of_light(beta * light, beta * per_m, beam.threshold)
+        chance, alike = self._crossings(slope)
+        position, largest = _place_of(photons), _place_of(self._largest(photons))
+        between, weight = (torch.empty(batch, COUNT_NODES, self.grid.nodes) for _ in range(2))
+        scale = np.float32(math.sqrt(SLOPE_SQUARE) / float(self.pulse_length_m))
+        width_m = self.grid.quadrature_width_m.numpy()
+        for sample in range(batch):
+            count_readings(
+                between[sample].numpy(),
+                weight[sample].numpy(),
+                position[sample].contiguous().numpy(),
+                largest[sample].contiguous().numpy(),
+                chance[sample].contiguous().numpy(),
+                alike[sample].contiguous().numpy(),
+                width_m,
+                readings,
+                scale,
+                np.float32(RISING),
+            )
+        return between, weight
+
+    def _light_of(self, beam: Beam) -> tuple[NDArray[np.float32], ...]:
+        """Response, places, weights and their change at the nodes of the quadrature, as compiled loops take them.
+
+        They do not depend on the weather, and are kept.
+        """
+        numbers = [value for one in (self.pulse_length_m, *beam.buffers()) for value in one.reshape(-1).tolist()]
+        known = (self.receiver, self.grid.near_m, self.grid.far_m, self.grid.scale_m, *numbers)
+        if known not in _LIGHT:
+            source_m, pulse, changing = self._sources(beam, self.grid.quadrature_m)
+            response = beam.particle_response(source_m) / source_m.square()
+            if len(_LIGHT) >= KEPT:
+                _LIGHT.clear()
+            arrays = [one.reshape(-1, one.shape[-1]).contiguous() for one in (response, source_m, pulse, changing)]
+            _LIGHT[known] = tuple(one.numpy() for one in arrays)
+        return _LIGHT[known]
 
     def _photons(
         self, beam: Beam, extinction_per_m: Tensor, density_scale: Tensor | None, air: BanksAlongBeams | None
@@ -274,26 +334,40 @@ class SoftReturn(nn.Module):
         if air is not None:
             mor_m = of_beams(mor_m, extinction_per_m.shape[0])
         signal, per_m = self._waveform(beam, mor_m, extinction_per_m, self.grid.quadrature_m, air)
-        scale = self.photons_at_threshold / beam.threshold
+        return self._of_light(signal, per_m, beam.threshold, density_scale)
+
+    def _of_light(
+        self, signal: Tensor, per_m: Tensor, threshold: Tensor, density_scale: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """As ``_photons``, of the signals and their change per metre."""
+        scale = self.photons_at_threshold / threshold
         if density_scale is not None:
             scale = scale * density_scale.to(signal)[:, None, None]
         photons = (signal * scale).clamp_min(NO_PHOTONS)
         return photons, per_m * scale / photons.sqrt() * (-self.pulse_length_m / math.sqrt(SLOPE_SQUARE))
 
+    def _crossings(self, slope: Tensor) -> tuple[Tensor, Tensor]:
+        """h(w) of crossings, and phi(w) over its largest, of the shape of w."""
+        steep = slope.abs()
+        chance = torch.exp(-0.5 * steep.square()) / math.sqrt(2.0 * math.pi) - steep * torch.special.ndtr(-steep)
+        return chance.clamp_min(0.0), torch.exp(-0.5 * slope.square())
+
     def _risen(self, photons: Tensor) -> Tensor:
         """-ln F of the largest expected value, from one node of the reading to the next, up to each node of range."""
+        never = _apart(self._read(self.never_table, self._largest(photons)))
+        return torch.cat([torch.zeros_like(never[..., :1]), never], -1)
+
+    def _largest(self, photons: Tensor) -> Tensor:
+        """Largest expected value up to the end of each cell, ``(B, cells)``."""
         flat = photons.flatten(1)
         # The waveform rises once and falls once.
         peak = flat.detach().argmax(1, keepdim=True)
         behind = torch.arange(flat.shape[1], device=flat.device) > peak
-        largest = torch.where(behind, flat.gather(1, peak), flat).reshape(photons.shape)[..., -1]  # (B, cells)
-        never = _apart(self._read(self.never_table, largest))
-        return torch.cat([torch.zeros_like(never[..., :1]), never], -1)
+        return torch.where(behind, flat.gather(1, peak), flat).reshape(photons.shape)[..., -1]
 
     def _read(self, table: Tensor, photons: Tensor) -> Tensor:
         """Exponential of a table at the nodes of the reading and at expected photons ``(B, ...)``: ``(B, E, ...)``."""
-        step = math.log(PHOTON_HIGH / PHOTON_LOW) / (PHOTON_NODES - 1)
-        position = (photons.log() - math.log(PHOTON_LOW)) / step
+        position = _place_of(photons)
         node = position.detach().floor().clamp(0, PHOTON_NODES - 2).to(torch.int64)
         flat = node.reshape(-1)
         table = table.to(position.dtype)
@@ -345,6 +419,19 @@ class SoftReturn(nn.Module):
     def variates(self) -> tuple[Variate, ...]:
         """Arrival and place of the strongest reading of each beam."""
         return Variate("fog_arrival", "uniform", (1, "N")), Variate("fog_place", "uniform", (1, "N"))
+
+
+def _place_of(photons: Tensor) -> Tensor:
+    """Place of expected photons on the nodes of the tables."""
+    step = math.log(PHOTON_HIGH / PHOTON_LOW) / (PHOTON_NODES - 1)
+    return (photons.log() - math.log(PHOTON_LOW)) / step
+
+
+@lru_cache(maxsize=8)
+def _by_photons(*roots: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The tables of counts with the photons first, which compiled loops read row by row."""
+    never, mills = (table.T.contiguous().numpy() for table in _count_tables(roots))
+    return never, mills
 
 
 def _apart(at: Tensor) -> Tensor:
