@@ -393,3 +393,19 @@ def test_noise_alone_does_not_say_which_weather_was_drawn() -> None:
     points = sample()["points"]
     noise = lidar.draw(points, seed=1)
     refused(r"rate_mm_per_h must be a number here; got Uniform.*without noise", lambda: lidar(points, noise))
+
+
+def test_a_lidar_is_renewed_for_another_rate_and_built_for_another_weather() -> None:
+    sensor = tw.Lidar.preset("velodyne-vlp-16")
+    points = torch.rand(3000, 4, generator=torch.Generator().manual_seed(2)) * torch.tensor([40.0, 40.0, 1.0, 255.0])
+    weathers = [tw.Rain(5.0), tw.Rain(50.0), tw.Rain(5.0, temperature_c=20.0), tw.Snow(1.0), tw.Snow(2.0)]
+    weathers.append(tw.Mixture(tw.Rain(5.0), tw.Fog(mor_m=80.0)))
+    lidar = tw.LidarWeather(tw.Rain(50.0), sensor)
+    compose = tw.Compose({"points": lidar}, weather=tw.Choice(weathers))
+    for weather in (*weathers, *weathers[::-1]):
+        draw = Draw(5, weather.to_dict())
+        alone = tw.Compose({"points": lidar}, weather=weather)({"points": points}, draw=draw)
+        assert torch.equal(compose({"points": points}, draw=draw)["points"], alone["points"])
+    shared = [built.chain.stages["detection"] for built in compose._built.values()]
+    assert len(shared) == len(weathers)
+    assert len(set(map(id, shared))) == len(weathers) - 2  # rain at 50 mm/h and snow at 2 mm/h share all else

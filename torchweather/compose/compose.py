@@ -23,7 +23,7 @@ from torchweather.core.arguments import check_arguments
 from torchweather.core.distributions import Choice
 from torchweather.core.errors import InputTypeError, InputValueError, check_between, nearest_name
 from torchweather.core.random import derived_seed, draw_variates, keyed_stream, sample_seed, sample_seeds
-from torchweather.pipeline.sensor_transform import draw_nuisances
+from torchweather.pipeline.sensor_transform import WeatherTransform, draw_nuisances
 
 __all__ = ["Compose", "Draw"]
 
@@ -170,6 +170,7 @@ class Compose(nn.Module):
             raise InputValueError(f"Compose: history={history!r} is the key of something else; give it one of its own.")
         self._epoch = shared(torch.zeros((), dtype=torch.int64))
         self._built: OrderedDict[tuple[str, str, str], Any] = OrderedDict()
+        self._latest: dict[tuple[str, str], Any] = {}  # of each key and device: others may share all but a rate
         self._banks: list[DrawBank] = []  # of training quality, handed to workers with this
         self.quality = (
             "training" if any(spec.options.get("quality", "exact") != "exact" for spec in self.specs.values()) else None
@@ -193,7 +194,7 @@ class Compose(nn.Module):
         return f"{{{inside}}}, weather={list(self.weather.values)!r}, p={self.p:g}{training}"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_built": OrderedDict()}
+        return {**self.__dict__, "_built": OrderedDict(), "_latest": {}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)  # type: ignore[no-untyped-call]
@@ -386,7 +387,8 @@ class Compose(nn.Module):
                 noise |= {
                     f"{name}.{full.removeprefix('air.')}": torch.from_numpy(array[0]) for full, array in shared.items()
                 }
-        noise = {name: one.to(value.device) for name, one in noise.items()}
+        for name, one in noise.items():
+            noise[name] = one.to(value.device)
         return (transform.run if truth else transform)(value, noise=noise, **extras)
 
     def _by_look_ups(self, key: str, spec: TransformSpec[Any], value: Tensor, depth: Any, draw: Draw) -> Tensor | None:
@@ -415,7 +417,12 @@ class Compose(nn.Module):
         """The key's transform for a weather and its nuisances, kept for when they come again."""
         place = (key, json.dumps([weather, drawn], sort_keys=True), str(device))
         if place not in self._built:
-            self._built[place] = spec.build(weather_from_dict(weather), drawn).to(device)
+            given = weather_from_dict(weather)
+            near = self._latest.get((key, str(device)))
+            renewed = near.renewed(given) if isinstance(near, WeatherTransform) and not drawn else None
+            self._built[place] = spec.build(given, drawn).to(device) if renewed is None else renewed
+            if not drawn:
+                self._latest[key, str(device)] = self._built[place]
             if len(self._built) > KEPT:
                 self._built.popitem(last=False)
         self._built.move_to_end(place)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchweather.core.arrays import as_numpy
 from torchweather.core.errors import InputValueError, owner_name
-from torchweather.lidar.cloud_frame import holds_return, points_in_sensor_frame, with_column
+from torchweather.lidar.cloud_frame import are_plain, holds_return, points_in_sensor_frame, with_column
 from torchweather.lidar.scan import recover_ring
 from torchweather.lidar.sensor import Lidar, unit_directions
 from torchweather.lidar.sweep.beam_ends import BeamEnd, beam_ends, ways_above_ground
@@ -25,6 +25,7 @@ from torchweather.pipeline.tiling import is_exporting
 __all__ = ["COMPLETE_SCAN", "BeamFinder", "Beams", "beams_of"]
 
 COMPLETE_SCAN = (False, True, "sky")
+ROWS_ALONE = "the rows that exist; a row without return has no direction and stays empty"
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Beams:
         scan: how beams without return were treated, in words.
         appended: rows at the end that are not in the input.
         on_own: ``(B, N)`` bool, returns that lie on the own vehicle; ``None`` where it is not known.
+        range_m: ``(B, N)`` range of each row, 0 where it holds no return; ``None`` where it is not worked out yet.
     """
 
     points: Tensor
@@ -53,6 +55,7 @@ class Beams:
     scan: str
     appended: int
     on_own: Tensor | None = None
+    range_m: Tensor | None = None
 
 
 class BeamFinder:
@@ -62,6 +65,23 @@ class BeamFinder:
         self._cloud: Tensor | None = None
         self._asked: tuple[Lidar, bool | str, bool, OwnVehicle | None] | None = None
         self._beams: Beams | None = None
+        self._unit: tuple[Tensor, int, Tensor] | None = None
+
+    def for_another_weather(self) -> BeamFinder:
+        """One that keeps nothing of a cloud."""
+        found = BeamFinder()
+        found._unit = self._unit
+        return found
+
+    def _unit_directions(self, directions: Tensor | None, sensor: Lidar, owner: object) -> Tensor | None:
+        """Directions of unit length; those of the sensor are worked out once."""
+        if directions is None or directions is not sensor.directions or is_exporting():
+            return None if directions is None else unit_directions(directions, owner=owner)
+        known = self._unit
+        if known is None or known[0] is not directions or known[1] != directions._version:
+            known = directions, directions._version, unit_directions(directions, owner=owner)
+            self._unit = known
+        return known[2]
 
     def __call__(
         self,
@@ -86,11 +106,12 @@ class BeamFinder:
         beams = beams_of(
             local,
             sensor,
-            directions,
+            directions if complete_scan else self._unit_directions(directions, sensor, owner),
             complete_scan=complete_scan,
             at_scene=at_scene,
             own_vehicle=own_vehicle,
             owner=owner,
+            are_unit=True,
         )
         if keeps:
             self._beams, self._cloud = beams, points.detach().clone()
@@ -113,6 +134,7 @@ def beams_of(
     at_scene: bool = True,
     own_vehicle: OwnVehicle | None = None,
     owner: object,
+    are_unit: bool = False,
 ) -> Beams:
     """Flatten the batch, and find the direction and the end of beams without return.
 
@@ -124,12 +146,15 @@ def beams_of(
         at_scene: find where beams without return end; else they go to the maximum range.
         own_vehicle: mask or box of it; names the returns that lie on it.
         owner: for messages.
+        are_unit: whether the directions are known to be of unit length.
     """
     count, columns = points.shape[-2:]
     batch = math.prod(points.shape[:-2])
     flat = points.reshape(batch, count, columns)
     if flat.dtype not in (torch.float32, torch.float64):
         flat = flat.float()
+    if directions is not None and not are_unit and not complete_scan:
+        directions = unit_directions(directions, owner=owner)
     beams = _beams_of(points, flat, sensor, directions, complete_scan, at_scene, own_vehicle, owner)
     if own_vehicle is None or beams.on_own is not None:
         return beams
@@ -156,7 +181,7 @@ def _beams_of(
             raise InputValueError(
                 f"{owner_name(owner)}: complete_scan is for clouds without directions; give one or the other."
             )
-        along = _fitting(unit_directions(directions, owner=owner), points, owner).to(flat)
+        along = _fitting(directions, points, owner).to(flat)
         there = holds_return(flat)
         height_m = beam_heights_m(flat, sensor, there=there)
         words = "directions given for every row"
@@ -169,14 +194,53 @@ def _beams_of(
             return beams
         there = (beams.empty_direction != 0).any(-1) if beams.empty_direction is not None else beams.end_m > 0
         return replace(beams, end_m=torch.where(there, sensor.max_range_m, beams.end_m))
+    if not is_exporting() and are_plain(flat):
+        return _started(flat, sensor)
     there = holds_return(flat)
     height_m = beam_heights_m(flat, sensor, there=there)
-    words = "the rows that exist; a row without return has no direction and stays empty"
-    beams = Beams(_lowered(flat, height_m, there), None, None, None, height_m, None, words, 0)
+    beams = Beams(_lowered(flat, height_m, there), None, None, None, height_m, None, ROWS_ALONE, 0)
     if is_exporting():
         return beams
     beams = replace(beams, first_row=_pairs(beams.points, sensor))
     return replace(beams, end=torch.where(there, int(BeamEnd.RETURN), int(BeamEnd.UNKNOWN)).to(torch.int8))
+
+
+def _started(flat: Tensor, sensor: Lidar) -> Beams:
+    """The rows of a cloud without directions, by compiled loops: the bits of torch."""
+    from torchweather.lidar.compiled_cloud import start_rows
+
+    clouds = flat.detach().contiguous()
+    height_m = _heights(clouds, sensor)
+    lowered = clouds if height_m is None else torch.empty_like(clouds)
+    range_m, end = torch.empty(flat.shape[:-1]), torch.empty(flat.shape[:-1], dtype=torch.int8)
+    nowhere = np.zeros((0, 0), np.float32)
+    for sample, cloud in enumerate(clouds):
+        start_rows(
+            nowhere if height_m is None else lowered[sample].numpy(),
+            range_m[sample].numpy(),
+            end[sample].numpy(),
+            cloud.numpy(),
+            np.zeros(1, np.float32) if height_m is None else _of_rows(height_m[sample]).numpy(),
+            int(BeamEnd.UNKNOWN),
+        )
+    range_m.sqrt_()  # torch rounds a root otherwise than the processor
+    if sensor.min_range_m > 0:
+        range_m = torch.where(range_m < sensor.min_range_m, 0.0, range_m)
+    first_row = _pairs(lowered, sensor)
+    return Beams(lowered, None, None, end, height_m, first_row, ROWS_ALONE, 0, range_m=range_m)
+
+
+def _heights(clouds: Tensor, sensor: Lidar) -> Tensor | None:
+    """As ``beam_heights_m``, of rows at the origin, too, where all beams start at one height."""
+    values = set(sensor.origin_heights_m or ())
+    if len(values) == 1 and any(values):
+        return torch.tensor(values.pop()).expand(clouds.shape[:-1])
+    return beam_heights_m(clouds, sensor)
+
+
+def _of_rows(height_m: Tensor) -> Tensor:
+    """Heights of the rows of a cloud, one of all where they are expanded from one."""
+    return (height_m[:1] if height_m.stride(0) == 0 else height_m).contiguous()
 
 
 def _lowered(flat: Tensor, height_m: Tensor | None, there: Tensor | None = None) -> Tensor:

@@ -59,7 +59,13 @@ def points_in_sensor_frame(points: Tensor, lidar: Lidar) -> Tensor:
 
 
 def points_in_cloud_frame(
-    values: Tensor, local: Tensor, given: Tensor, lidar: Lidar, height_m: Tensor | None = None
+    values: Tensor,
+    local: Tensor,
+    given: Tensor,
+    lidar: Lidar,
+    height_m: Tensor | None = None,
+    *,
+    in_place: bool = False,
 ) -> Tensor:
     """A result in the cloud's frame; rows that nothing moved have the bits that they came with.
 
@@ -69,14 +75,15 @@ def points_in_cloud_frame(
         given: ``(..., M, C)`` the same as it came, M <= N, in the cloud's frame.
         lidar: with ``origin_m`` and ``rotation``.
         height_m: ``(..., N)`` at which the beams start over the sensor's origin; ``None`` is 0.
+        in_place: the values may be written anew.
 
     Returns:
         ``(..., N, C)`` in the dtype of ``values``; rows of 0 (lost) stay so.
     """
     if not is_apart(lidar) and height_m is None:
         return values
-    if not is_apart(lidar) and height_m is not None and _are_plain(values, local, given, height_m):
-        return _raised(values, local, given, height_m)
+    if not is_apart(lidar) and height_m is not None and are_plain(values, local, given, height_m):
+        return _raised(values, local, given, height_m, in_place)
     x, y, z = values[..., :3].unbind(-1)
     start_x, start_y, start_z = local[..., :3].unbind(-1)
     untouched = (x == start_x) & (y == start_y) & (z == start_z)
@@ -117,7 +124,7 @@ def holds_return(points: Tensor) -> Tensor:
     return (x != 0) | (y != 0) | (z != 0)
 
 
-def _are_plain(*values: Tensor) -> bool:
+def are_plain(*values: Tensor) -> bool:
     """True where compiled loops may work on all: some points, single precision on the processor, no gradients."""
     if _in_graph() or not uses_compiled():
         return False
@@ -131,16 +138,19 @@ def _are_plain(*values: Tensor) -> bool:
     )
 
 
-def _raised(values: Tensor, local: Tensor, given: Tensor, height_m: Tensor) -> Tensor:
+def _raised(values: Tensor, local: Tensor, given: Tensor, height_m: Tensor, in_place: bool) -> Tensor:
     """`points_in_cloud_frame` of a sensor at the cloud's origin, by compiled loops: the same bits."""
     from torchweather.lidar.compiled_rows import raise_rows
 
-    out = torch.empty(values.shape)
+    storages = {one.untyped_storage().data_ptr() for one in (local, given)}
+    own = in_place and values.is_contiguous() and values.untyped_storage().data_ptr() not in storages
+    out = values if own else torch.empty(values.shape)
     flat = [one.reshape(-1, *one.shape[-2:]) for one in (out, values, local, given)]
     heights = height_m.expand(values.shape[:-1]).reshape(len(flat[0]), -1)
     for sample, height in enumerate(heights):
         raised, moved, start, came = (one[sample].detach().contiguous().numpy() for one in flat)
-        raise_rows(raised, moved, start, came, height.detach().contiguous().numpy())
+        single = height[:1] if height.stride(0) == 0 else height
+        raise_rows(raised, moved, start, came, single.detach().contiguous().numpy(), not own)
     return out
 
 

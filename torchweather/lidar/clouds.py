@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import warnings
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, owner_name
-from torchweather.lidar.cloud_frame import points_in_sensor_frame
+from torchweather.lidar.cloud_frame import are_plain, points_in_sensor_frame
 from torchweather.lidar.intensity import zero_intensity
 from torchweather.lidar.sensor import Lidar
 from torchweather.lidar.stages import ToEnergy
@@ -67,6 +68,9 @@ def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
         )
     if is_exporting() or not points.numel():
         return
+    if are_plain(points) and (known := _numbers_of_good(points)) is not None:
+        _warn_of_unit(points.detach()[..., 3], known[0], sensor, name, known[1:])
+        return
     # One sum sees every NaN and every infinity, and what is absurdly far; only then is it worth looking for them.
     total = float(points.detach().sum(dtype=torch.promote_types(points.dtype, torch.float32)))
     if not abs(total) < FARTHEST_M:
@@ -78,6 +82,18 @@ def check_points(points: Tensor, sensor: Lidar, owner: object) -> None:
             f"{name}: intensities must be 0 or more ({sensor.intensity_unit}); got {low:g}. Clip or rescale the column."
         )
     _warn_of_unit(intensity, high, sensor, name)
+
+
+def _numbers_of_good(points: Tensor) -> tuple[float, int, int] | None:
+    """Largest intensity, how many are above 0 and how many are bright; ``None`` where there is something to refuse."""
+    from torchweather.lidar.compiled_cloud import look_at
+
+    rows = points.detach().reshape(-1, points.shape[-1]).contiguous().numpy()
+    limits = np.float32(FARTHEST_M), np.float32(BRIGHTEST_REFLECTIVITY)
+    odd, low, high, positive, bright = (int(one) for one in look_at(rows, rows.view(np.int32), *limits))
+    if odd or low < 0:
+        return None
+    return float(np.array(high, np.int32).view(np.float32)), positive, bright
 
 
 def _refuse_absurd(points: Tensor, name: str) -> None:
@@ -97,14 +113,16 @@ def _refuse_absurd(points: Tensor, name: str) -> None:
         )
 
 
-def _warn_of_unit(intensity: Tensor, high: float, sensor: Lidar, name: str) -> None:
+def _warn_of_unit(
+    intensity: Tensor, high: float, sensor: Lidar, name: str, counts: tuple[int, int] | None = None
+) -> None:
     unit = sensor.intensity_unit
     eight_bits = unit in ("uint8_linear", "uint8_calibrated")
     bright = high > (BRIGHTEST_REFLECTIVITY if unit == "reflectivity" else 255.0)
     faint = 0 < high <= FAINTEST_FULL_SCALE and bool((intensity != intensity.floor()).any())
     evidence = ""
     if bright and (unit == "reflectivity" or eight_bits):
-        evidence = _too_bright(intensity, unit)
+        evidence = _too_bright(intensity, unit, counts)
     elif faint and (eight_bits or unit == "reflectivity_percent"):
         evidence = f"the largest is {high:g} and not all are integers. Is the unit reflectivity (0-1)?"
     if evidence:
@@ -116,12 +134,15 @@ def _warn_of_unit(intensity: Tensor, high: float, sensor: Lidar, name: str) -> N
         )
 
 
-def _too_bright(intensity: Tensor, unit: str) -> str:
+def _too_bright(intensity: Tensor, unit: str, counts: tuple[int, int] | None = None) -> str:
     """Evidence for a brighter unit from the bulk of the intensities; empty where only a few are bright."""
     if unit == "reflectivity":
         # Whether the bulk's largest value is above the limit follows from two counts, in a tenth of its time.
-        number = int(torch.count_nonzero(intensity > 0))
-        dim = number - int(torch.count_nonzero(intensity > BRIGHTEST_REFLECTIVITY))
+        number, bright = counts or (
+            int(torch.count_nonzero(intensity > 0)),
+            int(torch.count_nonzero(intensity > BRIGHTEST_REFLECTIVITY)),
+        )
+        dim = number - bright
         if dim >= max(1, round(BULK * number)):
             return ""
     positive = intensity[intensity > 0].double()

@@ -66,8 +66,8 @@ def far_note(points: Tensor, sensor: Lidar) -> str:
     sampled = rows[:: max(1, len(rows) // _SAMPLE), :3].double()
     local = points_in_sensor_frame(sampled, sensor)
     range_m = local.norm(dim=-1)
-    near = int(((range_m > 0) & (range_m <= min(_NEAREST_M, _BEYOND * sensor.max_range_m))).sum())
-    if 2 * near > int((range_m > 0).sum()):  # as of nearly every cloud: most returns are near
+    near = int(torch.count_nonzero((range_m > 0) & (range_m <= min(_NEAREST_M, _BEYOND * sensor.max_range_m))))
+    if 2 * near > int(torch.count_nonzero(range_m)):  # as of nearly every cloud: most returns are near
         return ""
     local, range_m = local[range_m > 0], range_m[range_m > 0]
     if len(range_m) < 2:  # one point is no evidence

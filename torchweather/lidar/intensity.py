@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from torchweather.lidar.cloud_frame import are_plain
 
 __all__ = [
     "COUNTED",
@@ -54,10 +57,12 @@ def are_integers(intensity: Tensor, unit: str) -> Tensor:
     """Check whether all intensities of a sample ``(B, N)`` are integers of a unit that counts, bool ``(B, 1)``."""
     if unit not in COUNTED:
         return torch.zeros_like(intensity[..., :1], dtype=torch.bool)
+    if are_plain(intensity):
+        return _all_multiples(intensity, 1.0, 0.0)[0]
     return (intensity == intensity.floor()).all(-1, keepdim=True)
 
 
-def zero_intensity(intensity: Tensor, unit: str, given: float | None = None) -> Tensor:
+def zero_intensity(intensity: Tensor, unit: str, given: float | None = None, integral: Tensor | None = None) -> Tensor:
     """Intensity that a value of 0 stands for, ``(..., 1)``: the middle of what is rounded to it.
 
     A sensor that counts in steps reports 0 for ``[0, step)``. The step is 1 for units of 8 bits whose values are all
@@ -67,6 +72,7 @@ def zero_intensity(intensity: Tensor, unit: str, given: float | None = None) -> 
         intensity: ``(..., N)`` of one sensor.
         unit: see the module.
         given: the answer where it is known, ``Lidar.zero_intensity``.
+        integral: that of ``are_integers``, where it is known.
 
     Example:
         >>> zero_intensity(torch.tensor([[0.0, 0.31, 0.02]]), "reflectivity")
@@ -75,12 +81,25 @@ def zero_intensity(intensity: Tensor, unit: str, given: float | None = None) -> 
     if given is not None:
         return torch.full_like(intensity[..., :1], given)
     if unit in EIGHT_BITS:
-        return 0.5 * are_integers(intensity, unit).to(intensity)
+        return 0.5 * (are_integers(intensity, unit) if integral is None else integral).to(intensity)
     if unit != "reflectivity":
         return torch.zeros_like(intensity[..., :1])
+    if are_plain(intensity):
+        stepped, some = _all_multiples(intensity, HUNDREDTH, OFF_STEP)
+        return 0.5 * HUNDREDTH * (stepped & some).to(intensity)
     steps = intensity / HUNDREDTH
     stepped = ((steps - steps.round()).abs() < OFF_STEP).all(-1, keepdim=True)
     return 0.5 * HUNDREDTH * (stepped & (intensity > 0).any(-1, keepdim=True)).to(intensity)
+
+
+def _all_multiples(intensity: Tensor, step: float, off: float) -> tuple[Tensor, Tensor]:
+    """For each sample, bool ``(..., 1)``: all are multiples of a step, one is above 0 (where all are); compiled."""
+    from torchweather.lidar.compiled_cloud import all_multiples
+
+    rows = intensity.detach().reshape(-1, intensity.shape[-1])
+    found = [all_multiples(row.numpy(), np.float32(step), np.float32(off)) for row in rows]
+    of_samples = torch.tensor(found, dtype=torch.bool).reshape(*intensity.shape[:-1], 2)
+    return of_samples[..., :1], of_samples[..., 1:]
 
 
 def borrowed_intensity(intensity: Tensor, seen: Tensor, unit: str) -> Tensor | None:

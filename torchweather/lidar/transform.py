@@ -247,7 +247,7 @@ class LidarWeather(WeatherTransform):
         if at.variant == "hahner":
             at = replace(at, fog_backscatter="hahner", fog_extinction="koschmieder")
         self.weather, self.sensor = weather, sensor
-        weather = weather.densest()
+        self._densest = weather = weather.densest()
         self.lost, self.complete_scan = at.lost, at.complete_scan
         published = "d3_4" if at.variant == "d3_4" else None
         parts = _with_packed_flakes(weather.parts) if at.variant == "hahner" else weather.parts or (CLEAR_AIR,)
@@ -324,20 +324,29 @@ class LidarWeather(WeatherTransform):
         """The transform for a weather that all samples get; a plain chain renews what depends on the intensity."""
         if drawn or sensor is not self.sensor or not self._differs_by_intensity(weather):
             return super()._built_from(weather, drawn, sensor)
+        return self._at_intensity(weather)
+
+    def renewed(self, weather: Weather) -> Self | None:
+        """As of every transform."""
+        some = isinstance(weather, Weather) and not weather.random and self._differs_by_intensity(weather)
+        return self._at_intensity(weather) if some else None
+
+    def _at_intensity(self, weather: Weather) -> Self:
+        """The same transform for a weather that differs by intensities alone, sharing all else."""
         found = with_buffers(self)
         found.weather, found.p, found.options = weather, 1.0, replace(self.options, p=1.0)
-        found._find_beams = BeamFinder()
+        found._densest, found._find_beams = weather, self._find_beams.for_another_weather()
         stages = {
             name: stage.at_intensity(weather.parts) if isinstance(stage, (Extinction, ParticleReturns)) else stage
             for name, stage in self.chain.stages.items()
         }
         found.chain = Chain(stages)
-        found.as_built = AsBuilt.of(found.chain)
+        found.as_built = AsBuilt.of(found.chain, self.as_built.shared_with(self.chain, found.chain))
         return found
 
     def _differs_by_intensity(self, weather: Weather) -> bool:
         """True where a weather differs from this transform's by intensities alone, and the chain is the plain one."""
-        own, some = self.weather.densest(), next(self.buffers())
+        own, some = self._densest, next(self.buffers())
         if some.device.type != "cpu" or some.dtype != torch.float32:
             return False
         if not isinstance(self.options, LidarOptions) or self.options.variant is not None:
@@ -466,6 +475,10 @@ class LidarWeather(WeatherTransform):
             scan=beams.scan,
             own_vehicle_points=None if beams.on_own is None else beams.on_own.sum(-1).reshape(lead),
         )
+
+    def draw_for_call(self, value: Tensor, seed: int) -> dict[str, Tensor]:
+        """As of every transform; the call checks the points."""
+        return self._own_noise(value, torch.tensor(seed))
 
     def _own_noise(self, points: Tensor, seeds: Tensor | None) -> _OwnNoise:
         """Noise of `draw` for the call that follows, which checks the points."""
@@ -596,7 +609,7 @@ class LidarWeather(WeatherTransform):
             owner=self,
         )
         flat = beams.points
-        range_m = _range_m(flat, self.sensor.min_range_m)
+        range_m = _range_m(flat, self.sensor.min_range_m) if beams.range_m is None else beams.range_m
         reach_m = range_m
         if beams.empty_direction is not None:
             farthest: float | Tensor = self.sensor.max_range_m if beams.end_m is None else beams.end_m
@@ -605,8 +618,9 @@ class LidarWeather(WeatherTransform):
             reach_m = torch.where(
                 range_m > 0, range_m if beams.end_m is None else beams.end_m.minimum(range_m), farthest
             )
-        nothing = torch.zeros_like(range_m)[..., None]
-        intensity, unit = flat[..., 3].contiguous(), self.sensor.intensity_unit
+        nothing, no_kind = (_zeros(range_m, dtype)[..., None] for dtype in (range_m.dtype, torch.int8))
+        intensity, unit = flat[..., 3], self.sensor.intensity_unit
+        integral = are_integers(intensity, unit)
         state = LidarState.of(
             points_in=flat,
             empty_direction=beams.empty_direction,
@@ -614,12 +628,12 @@ class LidarWeather(WeatherTransform):
             clear_signal=nothing[..., 0],
             range_m=range_m[..., None],
             signal=nothing,
-            kind=nothing.to(torch.int8),
+            kind=no_kind,
             reach_m=reach_m,
             threshold=flat.new_tensor(self.sensor.threshold_per_m2_sr),
-            integral=are_integers(intensity, unit),
+            integral=integral,
             borrowed_intensity=borrowed_intensity(intensity, range_m > 0, unit),
-            zero_intensity=zero_intensity(intensity, unit, self.sensor.zero_intensity),
+            zero_intensity=zero_intensity(intensity, unit, self.sensor.zero_intensity, integral),
             grid=self._grid(flat.shape[1]),
         )
         return beams, state
@@ -700,7 +714,9 @@ class LidarWeather(WeatherTransform):
         batch = points.shape[:-2]
         if values.ndim == 3:  # the cloud itself
             given = points.reshape(values.shape[0], *points.shape[-2:])
-            values = points_in_cloud_frame(values, beams.points, given, self.sensor, beams.height_m).to(points.dtype)
+            values = points_in_cloud_frame(values, beams.points, given, self.sensor, beams.height_m, in_place=True).to(
+                points.dtype
+            )
             if self.lost == "nan":
                 had_return = _range_m(beams.points, self.sensor.min_range_m) > 0
                 gone = (kind == PointKind.LOST) & had_return
@@ -764,6 +780,13 @@ def _counts_of(beams: Beams) -> Tensor:
         end = torch.cat([end[:, : -beams.appended], padding], 1)
     counts = torch.zeros(len(end), len(BeamEnd) + 1, dtype=torch.int64, device=end.device)
     return counts.scatter_add_(1, end, torch.ones_like(end))[:, : len(BeamEnd)]
+
+
+def _zeros(like: Tensor, dtype: torch.dtype) -> Tensor:
+    """Zeros of a shape; those that no graph holds take no memory."""
+    if is_exporting():
+        return torch.zeros_like(like, dtype=dtype)
+    return like.new_zeros((), dtype=dtype).expand_as(like)
 
 
 def _range_m(points: Tensor, min_range_m: float) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -28,10 +29,27 @@ class AsBuilt:
     buffers: dict[str, Tensor]
 
     @classmethod
-    def of(cls, chain: Chain) -> Self:
-        """Record of a chain."""
-        copies = {name: value.detach().clone() for name, value in chain.state_dict().items()}
+    def of(cls, chain: Chain, known: Mapping[str, Tensor] | None = None) -> Self:
+        """Record of a chain.
+
+        Args:
+            chain: as it was built.
+            known: copies of buffers that are good already, by name.
+        """
+        kept = {} if known is None else known
+        copies = {
+            name: kept[name] if name in kept else value.detach().clone() for name, value in chain.state_dict().items()
+        }
         return cls(tuple(chain.stages), chain.to_dict(), copies)
+
+    def shared_with(self, chain: Chain, other: Chain) -> dict[str, Tensor]:
+        """Copies of those buffers of the recorded chain that another chain shares with it."""
+        own = chain.state_dict(keep_vars=True)
+        return {
+            name: self.buffers[name]
+            for name, value in other.state_dict(keep_vars=True).items()
+            if name in self.buffers and own.get(name) is value
+        }
 
     def changed(self, chain: Chain) -> str:
         """Difference of a chain from the record, in words; empty where there is none."""
@@ -47,4 +65,6 @@ class AsBuilt:
 def _same(value: Tensor, now: Tensor) -> bool:
     """True where a buffer has the recorded values, wherever the transform was moved since."""
     value = value.to(now)
+    if torch.equal(value, now):
+        return True
     return value.shape == now.shape and bool(torch.all((value == now) | (value.isnan() & now.isnan())))

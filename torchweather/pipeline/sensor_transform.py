@@ -129,7 +129,8 @@ class WeatherTransform(AtLeastSingle):
             drawn = draw_nuisances(self.nuisances, seeds[0] if seeds else 0)
             chosen = self._built_from(weather, drawn, self.own_sensor())
             some = next(self.buffers(), None)
-            chosen = chosen if some is None else chosen.to(some.device)
+            moved = some is not None and any(one.device != some.device for one in chosen.buffers())
+            chosen = chosen.to(some.device) if some is not None and moved else chosen
         return chosen, torch.tensor(seeds, dtype=torch.int64).reshape(tuple(batch))
 
     def each_alone(
@@ -255,6 +256,13 @@ class WeatherTransform(AtLeastSingle):
         if changed:
             name = type(self).__name__
             raise InputValueError(f"{name}: {changed}; it cannot be built anew. Give changes as effects=[...].")
+
+    def renewed(self, weather: Weather) -> Self | None:
+        """The transform for a weather that differs by its intensity alone, sharing all else with this one.
+
+        ``None`` where it must be built anew.
+        """
+        return None
 
     def _built_from(self, weather: Weather, drawn: Mapping[str, Any], sensor: Any) -> Self:
         """The transform for a weather that all samples get, with values of its nuisances."""

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchweather.lidar.cloud_frame import holds_return
+from torchweather.lidar.cloud_frame import are_plain, holds_return
 from torchweather.lidar.laser_blocks import height_blocks
 from torchweather.lidar.sensor import Lidar
 from torchweather.pipeline.tiling import is_exporting
 
+if TYPE_CHECKING:
+    from torchweather.lidar.sweep.compiled_heights import Block
+
 __all__ = ["beam_heights_m"]
+
+# Of compiled loops, against rounding: 4e-6 of a tangent are some 30 steps of single precision, of which both ways to an
+# elevation take a few each.
+NEAR, MARGIN_DEG, STEEPEST_DEG = 4e-6, 0.01, 60.0
 
 
 def beam_heights_m(
@@ -50,6 +62,14 @@ def beam_heights_m(
         of_ring = points.new_tensor(heights)
         known = there & (ring >= 0) & (ring < len(heights))
         return torch.where(known, of_ring[ring.clamp(0, len(heights) - 1)], 0.0)
+    if are_plain(points) and (blocks := _blocks(sensor)) is not None:
+        return _by_loops(points, sensor, *blocks)
+    return _by_elevation(points, sensor, there)
+
+
+def _by_elevation(points: Tensor, sensor: Lidar, there: Tensor) -> Tensor:
+    """Height of the block whose nearest ring is nearer in elevation."""
+    heights = sensor.origin_heights_m or ()
     x, y, z = points[..., :3].unbind(-1)
     flat = (x * x + y * y).sqrt()
     found = best = None
@@ -68,6 +88,63 @@ def beam_heights_m(
             found, best = torch.where(distance < best, height, found), torch.minimum(distance, best)
     assert found is not None
     return torch.where(there, found, 0.0)
+
+
+def _by_loops(points: Tensor, sensor: Lidar, lower: Block, upper: Block) -> Tensor:
+    """As ``_by_elevation``, by compiled loops: the same bits."""
+    from torchweather.lidar.sweep.compiled_heights import heights_of_rows
+
+    rows = points.detach().reshape(-1, points.shape[-1]).contiguous()
+    found = torch.empty(len(rows))
+    if heights_of_rows(found.numpy(), rows.numpy(), lower, upper, np.float32(NEAR)):
+        unsure = found.isnan().nonzero()[:, 0]
+        some = rows[unsure]
+        found[unsure] = _by_elevation(some, sensor, holds_return(some))
+    return found.reshape(points.shape[:-1])
+
+
+@lru_cache(maxsize=16)
+def _blocks(sensor: Lidar) -> tuple[Block, Block] | None:
+    """The lower and the upper block of lasers as compiled loops take them; ``None`` where there are others than two.
+
+    A beam is the block's of the nearest ring. Inside a block that is half a gap away at most: what lies farther than
+    that from the other block's end is sure.
+    """
+    from torchweather.lidar.sweep.compiled_heights import Block
+
+    heights, elevations = sensor.origin_heights_m or (), sensor.elevations_deg or ()
+    members = height_blocks(heights)
+    if len(members) != 2 or any(len(one) < 2 for one in members) or len(elevations) != len(heights):
+        return None
+    orders = [sorted(one, key=lambda ring: elevations[ring]) for one in members]
+    rising = [np.array([elevations[ring] for ring in one]) for one in orders]
+    lower, upper = rising
+    if not (lower[0] < upper[0] and lower[-1] < upper[-1]) or max(abs(lower).max(), abs(upper).max()) > STEEPEST_DEG:
+        return None
+    gaps = [0.5 * np.diff(one).max() + MARGIN_DEG for one in rising]
+    ends = (upper[0] - gaps[0], lower[-1]), (lower[-1] + gaps[1], upper[0])
+    built = []
+    for one, order, own, (sure, within) in zip(members, orders, rising, ends, strict=True):
+        limits = np.tan(np.radians(0.5 * (own[1:] + own[:-1])))
+        low, high, least = limits[0] - 0.01, limits[-1] + 0.01, np.diff(limits).min(initial=1.0)
+        if least < 20.0 * NEAR:
+            return None
+        cells = math.ceil((high - low) / (0.5 * least))
+        begins = low + (high - low) * np.arange(cells) / cells
+        first = np.searchsorted(limits, begins - 2.0 * NEAR)
+        built.append(
+            Block(
+                np.float32(sum(heights[ring] for ring in one) / len(one)),
+                np.float32(math.tan(math.radians(sure))),
+                np.float32(math.tan(math.radians(within))),
+                np.float32(low),
+                np.float32(cells / (high - low)),
+                first.astype(np.int32),
+                np.append(limits, np.inf).astype(np.float32),
+                np.array([heights[ring] for ring in order], np.float32),
+            )
+        )
+    return built[0], built[1]
 
 
 def _number_below(rising: Tensor, values: Tensor) -> Tensor:
