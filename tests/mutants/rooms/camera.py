@@ -252,8 +252,8 @@ MUTANTS = (
         "compiled_marks_without_the_chord_of_their_column",
         "the compiled path gives each column of a wide mark its own chord, as torch does",
         "torchweather.camera.particles.compiled_marks",
-        "own = min(max(mean / max(to_side - from_side, 1e-3), shape.smallest_px), chord_most)",
-        "own = chord",
+        "return min(max(mean / max(to_side - from_side, 1e-3), shape.smallest_px), most)",
+        "return chord",
         ("tests/camera/particles/test_compiled_path.py::test_compiled_particles_are_those_of_torch",),
     ),
     Mutant(
