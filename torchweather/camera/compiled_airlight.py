@@ -1,4 +1,5 @@
-"""Compiled look for the brightest spot of a mosaic: the sums of ``airlight._brightest``, row after row."""
+"""Compiled look for the brightest spot of a mosaic and for the ground: the sums of ``airlight._brightest`` and of
+``flake_light``, row after row."""
 
 from __future__ import annotations
 
@@ -7,9 +8,11 @@ from numpy.typing import NDArray
 
 from torchweather.core.compiled import jit
 
-__all__ = ["brightest_cells"]
+__all__ = ["brightest_cells", "light_of_ground"]
 
 Array = NDArray[np.float32]
+
+ZERO, ONE, ENDLESS = np.float32(0), np.float32(1), np.float32(np.inf)
 
 
 @jit
@@ -52,4 +55,44 @@ def brightest_cells(signal: Array) -> Array:
     for y in range(2):
         for x in range(2):
             found[y, x] = most[y, x::2].max()
+    return found
+
+
+@jit
+def light_of_ground(signal: Array, depth_m: Array, sky: Array, sine_elevation: Array, near: Array) -> Array:
+    """Mean over all pixels of each plane on the ground, and of the share of ground itself, ``(C + 1,)``.
+
+    Args:
+        signal: ``(C, H, W)``.
+        depth_m: ``(H, W)``; its endless pixels are the sky where ``sky`` is ``(0, 0)``.
+        sky: ``(H, W)`` share of sky.
+        sine_elevation: ``(H, W)``, below 0 on the ground.
+        near: ``(H, W)`` share of the own vehicle; ``(0, 0)``: none.
+    """
+    planes, height, width = signal.shape
+    sums, weight = np.zeros((planes + 1, width), np.float32), np.empty(width, np.float32)
+    found = np.empty(planes + 1, np.float32)
+    whole = sums[planes]
+    for row in range(height):
+        below = sine_elevation[row]
+        if sky.size > 0:
+            of_sky = sky[row]
+            for at in range(width):
+                weight[at] = (ONE if below[at] < ZERO else ZERO) * (ONE - of_sky[at])
+        else:
+            depth = depth_m[row]
+            for at in range(width):
+                weight[at] = (ONE if below[at] < ZERO else ZERO) * (ZERO if depth[at] == ENDLESS else ONE)
+        if near.size > 0:
+            vehicle = near[row]
+            for at in range(width):
+                weight[at] *= ONE - vehicle[at]
+        for at in range(width):
+            whole[at] += weight[at]
+        for plane in range(planes):
+            total, lit = sums[plane], signal[plane, row]
+            for at in range(width):
+                total[at] += weight[at] * lit[at]
+    for plane in range(planes + 1):
+        found[plane] = sums[plane].astype(np.float64).sum() / (height * width)
     return found

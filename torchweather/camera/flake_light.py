@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchweather.camera.airlight import STRIDES_PX, per_colour, thinned
+from torchweather.camera.compiled_rows import map_of, on_processor
 from torchweather.camera.state import CameraState
+from torchweather.core.compiled import uses_compiled
 from torchweather.pipeline.graph_operations import cells_apart, parts_of
 from torchweather.pipeline.tiling import is_exporting
 
@@ -38,13 +41,41 @@ def flake_light(state: CameraState, horizon: Tensor) -> Tensor:
     from_sky = horizon * (1 + gradient / 2)
     if state.scene.sine_elevation is None:
         return (from_sky + GROUND_ALBEDO * horizon * (1 + 2 * gradient / 3)) / 2
-    sky = torch.isinf(state.scene.depth_m) if state.scene.sky is None else state.scene.sky
-    ground = (state.scene.sine_elevation < 0.0).to(state.image.signal) * (1 - sky.to(state.image.signal))
-    if state.scene.near_mask is not None:
-        ground = ground * (1 - state.scene.near_mask.to(state.image.signal))
-    light, share = _mean_under(state, ground)
+    if _is_compiled(state):
+        light, share = _light_of_ground(state, state.scene.sine_elevation)
+    else:
+        light, share = _mean_under(state, _ground(state, state.scene.sine_elevation))
     from_ground = torch.where(share > 0, light, GROUND_ALBEDO * horizon * (1 + 2 * gradient / 3))
     return (from_sky + from_ground) / 2
+
+
+def _is_compiled(state: CameraState) -> bool:
+    """True where compiled loops look for the ground: in planes, on the processor."""
+    scene, signal = state.scene, state.image.signal
+    if is_exporting() or state.receiver.cfa_index is not None or not uses_compiled():
+        return False
+    return on_processor(signal, scene.depth_m, scene.sky, scene.sine_elevation, scene.near_mask)
+
+
+def _light_of_ground(state: CameraState, sine_elevation: Tensor) -> tuple[Tensor, Tensor]:
+    """``_mean_under`` the ground by compiled loops."""
+    from torchweather.camera.compiled_airlight import light_of_ground
+
+    scene, signal = state.scene, state.image.signal.detach().contiguous().numpy()
+    maps = (scene.depth_m, scene.sky, sine_elevation, scene.near_mask)
+    found = np.stack([light_of_ground(one, *(map_of(each, row) for each in maps)) for row, one in enumerate(signal)])
+    means = torch.from_numpy(found)
+    share = means[:, -1:]
+    return means[:, :-1] / share.clamp_min(1e-12), share
+
+
+def _ground(state: CameraState, sine_elevation: Tensor) -> Tensor:
+    """Share of ground of each pixel, ``(1 or B, 1, H, W)``."""
+    sky = torch.isinf(state.scene.depth_m) if state.scene.sky is None else state.scene.sky
+    ground = (sine_elevation < 0.0).to(state.image.signal) * (1 - sky.to(state.image.signal))
+    if state.scene.near_mask is not None:
+        ground = ground * (1 - state.scene.near_mask.to(state.image.signal))
+    return ground
 
 
 def _mean_under(state: CameraState, weight: Tensor) -> tuple[Tensor, Tensor]:

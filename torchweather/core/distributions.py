@@ -193,6 +193,8 @@ def distributions_in(value: Any, name: str = "") -> dict[str, Distribution]:
         >>> distributions_in({"airlight": Uniform(0.5, 0.9), "wind_m_per_s": (0.0, Uniform(-3, 3), 0.0)})
         {'airlight': Uniform(low=0.5, high=0.9), 'wind_m_per_s.1': Uniform(low=-3, high=3)}
     """
+    if value is None or isinstance(value, (bool, int, float, str)):  # most of what there is
+        return {}
     if isinstance(value, Distribution):
         return {name: value}
     found: dict[str, Distribution] = {}

@@ -257,6 +257,14 @@ MUTANTS = (
         ("tests/camera/particles/test_compiled_path.py::test_compiled_particles_are_those_of_torch",),
     ),
     Mutant(
+        "compiled_ground_with_its_sky",
+        "compiled loops leave the sky's share of a pixel out of the ground that lights a flake, as torch does",
+        "torchweather.camera.compiled_airlight",
+        "(ONE - of_sky[at])",
+        "ONE",
+        ("tests/camera/test_flake_light.py::test_compiled_loops_find_the_ground_of_torch",),
+    ),
+    Mutant(
         "compiled_haze_without_the_half_of_its_variance",
         "-ln(1 - m) has the mean of m plus half of its variance, in the compiled haze as in torch's",
         "torchweather.camera.particles.compiled_haze",

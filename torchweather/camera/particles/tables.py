@@ -22,8 +22,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from copy import copy as shallow_copy
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -457,9 +459,12 @@ def particle_tables(
 ) -> ParticleTables:
     """The tables, from a cache that does not look at the rate or at what flakes do with light; without motion, those of
     particles that fall straight down the image."""
-    shape = replace(weather, rate_mm_per_h=0.0, wind_m_per_s=(0.0, 0.0, 0.0))
-    if isinstance(shape, Snow):
-        shape = replace(shape, albedo=Snow.albedo, flake_reflectivity=None, melt_fraction=0.0)
+    same: dict[str, Any] = {"rate_mm_per_h": 0.0, "wind_m_per_s": (0.0, 0.0, 0.0)}
+    if isinstance(weather, Snow):
+        same |= {"albedo": Snow.albedo, "flake_reflectivity": None, "melt_fraction": 0.0}
+    shape = shallow_copy(weather)
+    for name, value in same.items():  # not by replace, whose checks take a millisecond of every sample
+        object.__setattr__(shape, name, value)
     moving = None if motion is None or motion.still else motion.rounded()
     limits = (near_m, far_m, min_listed_coverage, max_listed_density, rate_capacity)
     return _cached(shape, optics, focal_px, *limits, moving)
