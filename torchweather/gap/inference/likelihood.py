@@ -616,7 +616,7 @@ class SimulatorLikelihood:
         return best
 
     def _limits(self, point: ParameterPoint, names: Sequence[tuple[str, str]]) -> Bounds:
-        """By how much parameters may change at once: within their bounds, at most twice the typical size."""
+        """Changes that parameters may make at once: within their bounds, at most twice the typical size."""
         declared = [
             next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
             for effect, parameter in names
