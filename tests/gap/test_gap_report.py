@@ -197,7 +197,7 @@ def test_a_spread_that_a_ripple_makes_is_not_what_is_unknown() -> None:
         simulated = np.array([[0.0] * 16 + [0.5 * math.log(variance)] * 2])
         z = (measured - simulated) / sd
         used = np.ones_like(z, dtype=bool)
-        found = Departures(layout, measured, simulated, sd, used, np.array([5]), np.full((1, 18), 100.0))
+        found = Departures(layout, measured, simulated, sd, used, np.array([5]), np.full((1, 18), 100.0), np.ones(1))
         less = without_means(found, z)
         np.testing.assert_array_equal(less[:, :16], z[:, :16])
         left = 0.5 * math.log((variance + own) / variance) / 0.01

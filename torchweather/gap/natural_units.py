@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from torchweather.gap.statistics.counting import ANSCOMBE
 from torchweather.gap.statistics.frame_statistics import Group
+from torchweather.gap.statistics.log_square import spread_of_log_square
 
 __all__ = ["DB_PER_NEPER", "NaturalDeparture", "NaturalUnit", "natural_unit"]
 
@@ -31,7 +32,7 @@ SHARES_OF = {
     **{f"{side}_share_{where}": "pixels" for side in ("bright", "dark") for where in ("near", "far")},
 }
 COUNTS_OF = dict.fromkeys(("clutter_count", "ghost_count"), "detections per frame")
-# Mean of ln(1 + square), the squares in units of clear air's variance: from it a typical departure.
+# Mean of ln(1 + square), the squares in units of clear air's variance: of a normal error, its standard deviation.
 LOG_SQUARES = ("range_residual_spread", "power_spread", "speed_spread", "range_spread")
 # Products of what is in units of the noise of a pixel.
 PRODUCTS = re.compile(r"streak_correlation_.*|column_correlation|row_correlation")
@@ -95,7 +96,7 @@ def _of_mean(name: str) -> NaturalUnit | None:
     if name.startswith("edge_contrast_"):
         return NaturalUnit("% of clear air's contrast", _times(PER_CENT))
     if name in LOG_SQUARES:
-        return NaturalUnit("times clear air's spread", lambda entry, frames: np.sqrt(np.expm1(np.maximum(entry, 0.0))))
+        return NaturalUnit("times clear air's spread", lambda entry, frames: spread_of_log_square(entry))
     if PRODUCTS.fullmatch(name):
         return NaturalUnit("of the noise variance", _times(1.0))
     if name == "log_ghost_delay":

@@ -49,6 +49,7 @@ def departures(group: Group, measured: Any, simulated: Any, sd: Any, used: Any =
         used=np.broadcast_to(np.asarray(used), shape),
         frames=np.full(len(rows), frames),
         weight=np.full(shape, 100.0),
+        range_noise_m=np.full(len(rows), 0.02),
     )
 
 
@@ -104,12 +105,12 @@ def test_counts_are_returns_a_frame() -> None:
 
 
 def test_spreads_are_standard_deviations_and_their_variances_subtract() -> None:
-    group = Group("range_residual_spread", "range_m", "spread", EDGES)
+    group = Group("log_intensity_spread", "range_m", "spread", EDGES)
     given = departures(group, np.log([0.05, 0.03, 0.03]), math.log(0.03), 0.01)
     np.testing.assert_allclose(natural_curve(given, group).value, [0.02, 0.0, 0.0], atol=1e-12)
     stage = empirical_stage(given, group)
     assert isinstance(stage, Empirical)
-    assert stage.kind == "range_noise"
+    assert stage.kind == "intensity_noise"
     assert stage.config()["value"] == pytest.approx([0.04, 0.0, 0.0], abs=1e-9)
     less = departures(group, np.log([0.01] * 3), math.log(0.03), 0.01)
     assert "scatters less" in str(empirical_stage(less, group))
@@ -186,6 +187,7 @@ def between(plain: Study, other: Study) -> Departures:
         used=np.stack([one.enough & other.enough for one, other in zip(before, after, strict=True)]),
         frames=np.array([one.frames for one in after]),
         weight=np.stack([models[1].measured(one).weight.mean(0) for one in conditions]),
+        range_noise_m=np.array([models[0].range_noise_m(one) for one in conditions]),
     )
 
 
@@ -288,3 +290,22 @@ def test_shares_and_counts_of_radars_and_cameras_are_of_what_they_have() -> None
     for group in [*radar_layout(edges).binned, *share_groups()]:
         if group.kind in ("share", "count"):
             assert UNIT_OF[group.statistic].split()[-1] in ("targets", "frames", "cells", "frame")
+
+
+def test_noise_of_the_range_comes_back_as_a_stage_in_metres(plain: Study) -> None:
+    """Of 3 cm on every return. Some 500 beams a frame and 24 frames know each bin's to a few per cent."""
+
+    def change(frame: Frame, clear: Frame, rng: np.random.Generator) -> Frame:
+        noise = 0.03 * rng.normal(size=frame["range_m"].shape)
+        return {**frame, "range_m": np.where(frame["range_m"] > 0, frame["range_m"] + noise, 0.0).astype(np.float32)}
+
+    found = between(plain, changed(plain, change))
+    stage = fitted(found, "range_residual_spread", "range_m")
+    assert (stage.kind, stage.of) == ("range_noise", "object")
+    assert float(np.median(stage.value)) == pytest.approx(0.03, rel=0.1)
+    (group,) = [one for one in found.layout.groups if (one.statistic, one.axis) == ("range_residual_spread", "range_m")]
+    curve = natural_curve(found, group)
+    assert curve.unit == "m, standard deviation"
+    clear_m = float(found.range_noise_m[0])
+    wider = float(np.nanmedian(curve.value))
+    assert wider == pytest.approx(math.hypot(clear_m, 0.03) - clear_m, rel=0.25)

@@ -13,6 +13,14 @@ CAMERA_FRAMES = "tests/gap/sensors/camera/test_camera_frames.py"
 
 MUTANTS = (
     Mutant(
+        "range_noise_of_a_logarithm",
+        "the stage that copies a spread of range has it in metres",
+        "torchweather.gap.inference.empirical_fit",
+        "lambda entry: spread_of_log_square(entry) * departures.range_noise_m[:, None]",
+        "np.exp",
+        ("tests/gap/inference/test_empirical_fit.py::test_noise_of_the_range_comes_back_as_a_stage_in_metres",),
+    ),
+    Mutant(
         "pairs_scored_without_bounds",
         "nuisances stay within their bounds beside a pair of effects",
         "torchweather.gap.inference.systematics",

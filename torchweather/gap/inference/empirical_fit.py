@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from torchweather.gap.statistics.counting import ANSCOMBE
 from torchweather.gap.statistics.formula import bounded
 from torchweather.gap.statistics.frame_statistics import Group, Layout
+from torchweather.gap.statistics.log_square import spread_of_log_square
 from torchweather.lidar.effects.empirical import Empirical
 
 __all__ = ["Departures", "NaturalCurve", "empirical_stage", "natural_curve"]
@@ -88,6 +89,7 @@ class Departures:
         used: ``(C, P)`` entries that count.
         frames: ``(C,)`` measured frames.
         weight: ``(C, bins)`` weight in each bin a frame, of the entries that come from sums over bins.
+        range_noise_m: ``(C,)`` standard deviation of the range of clear frames, the unit of a spread of range.
     """
 
     layout: Layout
@@ -97,6 +99,7 @@ class Departures:
     used: NDArray[np.bool_]
     frames: NDArray[np.intp]
     weight: Floats
+    range_noise_m: Floats
 
     def place(self, statistic: str, axis: str) -> slice | None:
         """Where a group stands in the vectors; ``None`` where there is none."""
@@ -139,7 +142,7 @@ def natural_curve(departures: Departures, group: Group) -> NaturalCurve:
         departures: of all conditions.
         group: one of the layout's.
     """
-    value, sd = _averaged(departures, group, _natural(group.kind, departures.frames))
+    value, sd = _averaged(departures, group, _natural(group, departures))
     return NaturalCurve(group.edges, value, sd, UNIT_OF.get(group.statistic) or UNITS.get(group.kind, group.statistic))
 
 
@@ -161,15 +164,19 @@ def empirical_stage(departures: Departures, group: Group) -> Empirical | str:
     if kind == "loss":
         return _along(group, _lost(departures, group), kind, of)
     if kind.endswith("noise"):
-        value, sd = _averaged(departures, group, lambda entry: np.exp(2.0 * entry))
+        spread = _natural(group, departures)
+        value, sd = _averaged(departures, group, lambda entry: spread(entry) ** 2)
         if not (value > sd).any():
             return LESS_SCATTER
         return _along(group, np.sqrt(np.maximum(value, 0.0)), kind, of)
     return _along(group, natural_curve(departures, group).value, kind, of)
 
 
-def _natural(kind: str, frames: NDArray[np.intp]) -> Callable[[Floats], Floats]:
+def _natural(group: Group, departures: Departures) -> Callable[[Floats], Floats]:
     """From an entry's even units to natural ones."""
+    kind, frames = group.kind, departures.frames
+    if group.statistic == "range_residual_spread":
+        return lambda entry: spread_of_log_square(entry) * departures.range_noise_m[:, None]
     if kind == "share":
         return lambda entry: np.sin(np.clip(entry, 0.0, 0.5 * math.pi)) ** 2
     if kind == "count":
@@ -204,7 +211,7 @@ def _level(departures: Departures, group: Group) -> Floats:
     """Simulated share, ``(bins,)``, mean over the conditions."""
     part = departures.place(group.statistic, group.axis)
     assert part is not None
-    found: Floats = _natural("share", departures.frames)(departures.simulated[:, part]).mean(0)
+    found: Floats = _natural(group, departures)(departures.simulated[:, part]).mean(0)
     return found
 
 

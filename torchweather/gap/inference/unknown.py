@@ -125,6 +125,8 @@ def departures(search: SimulatorLikelihood, base: SimulatedDistribution, sd: Map
     """The measured conditions beside a simulation of them, with the scatter that counts."""
     measured = search.measured
     names = [target.condition.id for target in measured]
+    # Only LiDARs compare ranges with the noise of their clear frames.
+    range_noise_m = getattr(search.model, "range_noise_m", lambda condition: 1.0)
     return Departures(
         layout=search.model.layout,
         measured=np.stack([target.vector for target in measured]),
@@ -133,6 +135,7 @@ def departures(search: SimulatorLikelihood, base: SimulatedDistribution, sd: Map
         used=np.stack([base.used[name] for name in names]),
         frames=np.array([target.frames for target in measured]),
         weight=np.stack([search.model.measured(target.condition).weight.mean(0) for target in measured]),
+        range_noise_m=np.array([range_noise_m(target.condition) for target in measured]),
     )
 
 

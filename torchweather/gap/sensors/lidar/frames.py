@@ -148,6 +148,10 @@ class LidarFrames:
             found[f"clear scale {condition.scene}"] = -math.inf
         return {**found, "particle gain": -math.inf}
 
+    def range_noise_m(self, condition: Condition) -> float:
+        """Standard deviation of the range of the clear frames of a condition's scene."""
+        return self.scenes[condition.scene].noise_m
+
     def misplaced(self, condition: Condition) -> float:
         """Share of the particles of a condition that the model may put into a neighbouring bin of range."""
         assert condition.weather is not None
