@@ -19,7 +19,6 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from inspect import signature
 from pathlib import Path
@@ -27,7 +26,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from measure import hand_over, machine
+from measure import cpu_times_ms, hand_over, machine
 from PIL import Image
 
 import torchweather as tw
@@ -99,13 +98,7 @@ def measured(repeats: int, sizes: tuple[tuple[int, int], ...]) -> dict[str, floa
         for size in sizes:
             calls |= camera_calls(*size)
         calls |= lidar_calls(Path(folder))
-        times: dict[str, list[float]] = {name: [] for name in calls}
-        for seed in range(repeats + 2):
-            for name, call in calls.items():
-                start = time.process_time()
-                call(seed)
-                if seed >= 2:
-                    times[name].append(1e3 * (time.process_time() - start))
+        times = cpu_times_ms(calls, repeats)
     return {name: statistics.median(some) for name, some in times.items()}
 
 

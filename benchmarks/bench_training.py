@@ -18,7 +18,6 @@ import os
 import statistics
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from measure import hand_over, machine
+from measure import cpu_times_ms, hand_over, machine
 from PIL import Image
 
 import torchweather as tw
@@ -99,13 +98,7 @@ def peers() -> tuple[dict[str, Callable[[torch.Tensor, int], Any]], list[str]]:
 
 def medians(calls: dict[str, Callable[[int], Any]], repeats: int) -> dict[str, dict[str, float]]:
     """Processor milliseconds of each call, all in turn."""
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    for seed in range(repeats + 2):
-        for name, call in calls.items():
-            start = time.process_time()
-            call(seed)
-            if seed >= 2:
-                times[name].append(1e3 * (time.process_time() - start))
+    times = cpu_times_ms(calls, repeats)
     return {
         name: {
             "median_cpu_ms": round(statistics.median(some), 2),

@@ -16,7 +16,7 @@ import torch
 
 from torchweather.io import atomic_write
 
-__all__ = ["commit", "hand_over", "machine", "spread", "times_ms"]
+__all__ = ["commit", "cpu_times_ms", "hand_over", "machine", "spread", "times_ms"]
 
 
 def times_ms(call: Callable[[], object], repeats: int) -> dict[str, float]:
@@ -29,6 +29,19 @@ def times_ms(call: Callable[[], object], repeats: int) -> dict[str, float]:
         call()
         times.append(1e3 * (time.perf_counter() - start))
     return spread(times)
+
+
+def cpu_times_ms(calls: dict[str, Callable[[int], object]], repeats: int) -> dict[str, list[float]]:
+    """Processor times of calls by seed, all in turn, so that a slow minute of the machine hits all; after two rounds
+    that do not count."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for seed in range(repeats + 2):
+        for name, call in calls.items():
+            start = time.process_time()
+            call(seed)
+            if seed >= 2:
+                times[name].append(1e3 * (time.process_time() - start))
+    return times
 
 
 def spread(times: list[float]) -> dict[str, float]:
