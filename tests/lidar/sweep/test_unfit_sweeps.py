@@ -233,7 +233,7 @@ REFUSED: dict[str, tuple[Change, str]] = {
 }
 
 
-EVERY_TIME = ("map's frame", "every second column", "rows of NaN")  # of KITTI, beside all made ones
+EVERY_TIME = ("map's frame", "millimetres", "every second column", "rows of NaN")  # of KITTI, beside all made ones
 
 
 def _each_refused() -> list[Any]:

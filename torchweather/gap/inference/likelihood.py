@@ -588,7 +588,7 @@ class SimulatorLikelihood:
         Args:
             point: to start from.
             names: parameters that move.
-            step: by how much they and the nuisances move, and what a linear simulator would leave behind it.
+            step: change of the parameters and of the nuisances, and the misfit that a linear simulator has behind it.
             cost: at the start.
             base: scatter.
             nuisance: at the start.

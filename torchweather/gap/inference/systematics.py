@@ -103,7 +103,7 @@ class BoundedStep:
 
     Args:
         amplitudes: ``(M,)`` of the columns.
-        aside: ``(K,)`` by how far the nuisances move, in standard deviations.
+        aside: ``(K,)`` step of the nuisances, in standard deviations.
         misfit: that is left, with the cost of the moved nuisances.
     """
 
