@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from torchweather.gap.inference.calibrated_scatter import MeasuredSize, calibrated_scatter
+from torchweather.gap.inference.config import METHOD
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Pool, Reduced
 
 BINS, FRAMES, CLEAR, POOL = 40, 6, 8, 48
@@ -48,6 +51,24 @@ def test_departures_of_a_perfect_model_have_their_expected_square(kind: str, dra
     # 40 studies of some 20 entries that tell something: sqrt(2 / 800) = 5 %, three of those.
     assert squares / expected == pytest.approx(1.0, abs=0.15)
     assert largest < 5.5**2  # of 1,600 entries; a first event is no miracle
+
+
+@pytest.mark.parametrize("mean", [0.03, 0.1, 0.3])
+def test_no_rare_count_departs_by_more_than_its_deviance(mean: float) -> None:
+    """Several events in one bin, where simulated frames show none or are alike."""
+    layout = Layout((Group("events", "range_m", "share", (0.0, 1.0)),), (), (), ())
+    # Half an event a pool is the prior of what was never seen.
+    each = max(mean / FRAMES - 0.5 / POOL, 0.0)
+    weight, empty = np.full((POOL, 1), 400.0), np.zeros((POOL, 0))
+    pool = Pool(layout, Reduced(weight, each + 0.0 * weight, weight, empty, empty[..., None]), np.zeros(POOL, int))
+    found = calibrated_scatter({"rain": pool}, {"rain": MeasuredSize(FRAMES, POOL)}, {"rain": np.zeros(1)}, 0)["rain"]
+    scatter = np.sqrt(found.own[0] * FRAMES * 400.0)  # of the root of the count
+    expected = max(mean, FRAMES * 0.5 / POOL)
+    for count in range(math.ceil(expected + 1.0), 9):
+        departure = (np.sqrt(count + 0.375) - np.sqrt(expected + 0.375)) / scatter
+        deviance = 2.0 * (count * np.log(count / expected) - count + expected)
+        # The root is not quite the root of the deviance: 12 % at most, up to eight events.
+        assert departure < 1.12 * max(np.sqrt(deviance), METHOD.one_event_sd / 2.0)
 
 
 def test_what_the_clear_frames_do_not_tell_is_in_the_scatter() -> None:

@@ -30,7 +30,14 @@ ENTRIES = np.repeat(np.arange(4), 3)
 PLACES = np.tile(ENTRIES, 2)  # two conditions
 USED = PLACES.reshape(2, 12) < 3
 USED[0, 3] = False  # the group "seldom" has five of six entries
-RESIDUAL = ResidualTest(ENTRIES, USED, np.array([1.5, 0.5, 1.0, 1.0]))
+NOISE = np.array([1.5, 0.5, 1.0, 1.0])[ENTRIES] * np.array([[1.0], [0.3]])  # less in the second condition
+RESIDUAL = ResidualTest(ENTRIES, USED, NOISE)
+
+
+def even(groups: int, entries: int, conditions: int = 1, noise: float = 1.0) -> ResidualTest:
+    """Groups of so many entries each, that all count alike."""
+    shape = (conditions, groups * entries)
+    return ResidualTest(np.repeat(np.arange(groups), entries), np.ones(shape, bool), np.full(shape, noise))
 
 
 def test_squares_and_excess_are_those_of_loops() -> None:
@@ -41,11 +48,10 @@ def test_squares_and_excess_are_those_of_loops() -> None:
     np.testing.assert_allclose(RESIDUAL.squares(left), squares, rtol=1e-12)
     left[PLACES == 1] *= 10.0
     left[PLACES == 3] = 0.0
-    np.testing.assert_array_equal(RESIDUAL.counted, [6, 5, 6, 0])
-    excess = sum(
-        max(float(one) - noise * n, 0.0)
-        for one, noise, n in zip(RESIDUAL.squares(left), RESIDUAL.noise, RESIDUAL.counted, strict=True)
-    )
+    by_noise = [
+        sum(NOISE[c, p] for c in range(2) for p in range(12) if ENTRIES[p] == k and USED[c, p]) for k in range(4)
+    ]
+    excess = sum(max(float(one) - noise, 0.0) for one, noise in zip(RESIDUAL.squares(left), by_noise, strict=True))
     assert RESIDUAL.excess(left) == pytest.approx(excess, rel=1e-12)
     assert excess > 50.0
 
@@ -53,7 +59,7 @@ def test_squares_and_excess_are_those_of_loops() -> None:
 def test_a_few_entries_that_depart_are_not_drowned_in_all_others() -> None:
     """One group of 60 entries three scatters off among 1,500: 540 of 1,980, where noise leaves 1,500 +- 55 and less."""
     groups, each = 25, 60
-    many = ResidualTest(np.repeat(np.arange(groups), each), np.ones((1, groups * each), bool), np.full(groups, 1.5))
+    many = even(groups, each, noise=1.5)
     left = 0.7 * RNG(2).normal(size=groups * each)
     assert many.p_value(left) > 0.5
     left[:each] += 3.0
@@ -63,12 +69,12 @@ def test_a_few_entries_that_depart_are_not_drowned_in_all_others() -> None:
 
 
 def test_noise_seldom_raises_an_alarm() -> None:
-    noise = np.sqrt(RESIDUAL.noise)[PLACES] * USED.ravel() * RNG(3).normal(size=(4000, 24))
+    noise = (np.sqrt(NOISE) * USED).ravel() * RNG(3).normal(size=(4000, 24))
     # Three groups, 4,000 draws: 5 x sqrt(0.05 x 0.95 / 4,000) = 0.017.
     for p_value in (RESIDUAL.p_value, RESIDUAL.common_p_value):
         found = np.array([p_value(one) for one in noise])
         assert (found < 0.05).mean() == pytest.approx(0.05, abs=0.017)
-    nothing = ResidualTest(ENTRIES, np.zeros((2, 12), bool), np.ones(4))
+    nothing = ResidualTest(ENTRIES, np.zeros((2, 12), bool), NOISE)
     assert nothing.p_value(np.zeros(24)) == nothing.common_p_value(np.zeros(24)) == 1.0
 
 
@@ -76,7 +82,7 @@ def test_what_conditions_have_in_common_is_not_drowned_in_each() -> None:
     """A slope along one axis, alike in nine conditions, in 20 groups of five bins: its square is 90, of 45 entries of
     one group or of five bins of the mean. The same numbers in another order in each condition are no pattern."""
     conditions, groups = 9, 20
-    several = ResidualTest(np.repeat(np.arange(groups), 5), np.ones((conditions, groups * 5), bool), np.ones(groups))
+    several = even(groups, 5, conditions)
     left = np.zeros((conditions, groups * 5))
     left[:, :5] = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
     assert several.p_value(left.ravel()) == pytest.approx(20.0 * chi2.sf(90.0, 45), rel=1e-9)
@@ -88,18 +94,18 @@ def test_what_conditions_have_in_common_is_not_drowned_in_each() -> None:
 
 def test_one_condition_has_nothing_in_common() -> None:
     left = np.full(12, 9.0)
-    alone = ResidualTest(ENTRIES, np.ones((1, 12), bool), np.ones(4))
+    alone = even(4, 3)
     assert alone.common_p_value(left) == 1.0
     some = np.ones((2, 12), bool)
     some[1, 1:] = False  # one entry counts in both
     of_two = np.concatenate([left, np.full(12, 9.0)])
-    assert ResidualTest(ENTRIES, some, np.ones(4)).common_p_value(of_two) == pytest.approx(
+    assert ResidualTest(ENTRIES, some, np.ones((2, 12))).common_p_value(of_two) == pytest.approx(
         chi2.sf(2.0 * 81.0, 1), rel=1e-9
     )
 
 
 def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
-    """Of a statistic in which hardly anything can happen it is less, down to a least level."""
+    """Of an entry in which hardly anything can happen it is less, down to a least level."""
     names = ("c0", "c1")
     each = np.repeat([1.0, 0.5, 0.25, 0.0], 3)
     used = {name: np.ones(12, bool) for name in names}
@@ -113,5 +119,19 @@ def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
     )
     found = residual_test(search, base, 1.6)
     np.testing.assert_array_equal(found.places, ENTRIES)
-    np.testing.assert_array_equal(found.counted, [5, 6, 6, 6])
-    np.testing.assert_allclose(found.noise, 1.6 * np.array([1.0, 0.375, 0.25, METHOD.least_level]), rtol=1e-12)
+    np.testing.assert_array_equal(found.used, [used[name] for name in names])
+    levels = np.repeat([[1.0, 0.5, 0.25, METHOD.least_level], [1.0, 0.25, 0.25, METHOD.least_level]], 3, axis=1)
+    np.testing.assert_allclose(found.noise, 1.6 * levels, rtol=1e-12)
+
+
+def test_bins_without_events_make_no_statistic_of_many_entries() -> None:
+    """Two bins that hold events and twelve that hardly ever do: nine of a square are as likely as they are of two."""
+    level = np.full((1, 14), 0.04)
+    level[0, :2] = 1.0, 0.5
+    one = ResidualTest(np.zeros(14, int), np.ones((1, 14), bool), level)
+    left = np.zeros(14)
+    left[1] = 3.0
+    drawn = (RNG(5).normal(size=(400_000, 14)) ** 2 * level).sum(1)
+    # Satterthwaite's law beside the drawn one, whose tail is that of its largest term: within a factor of two.
+    assert one.p_value(left) == pytest.approx((drawn >= 9.0).mean(), rel=1.0)
+    assert one.p_value(left) > 1e3 * chi2.sf(9.0 / level.mean(), 14)

@@ -11,6 +11,7 @@ import pytest
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
 from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.events_along_axes import EventsAlongAxes
 from torchweather.gap.inference.simulated_distribution import (
     ElementNoise,
     Observation,
@@ -186,9 +187,12 @@ def correlation(rho: float) -> Any:
     return rho ** np.abs(place[:, None] - place[None])
 
 
+NO_EVENTS = EventsAlongAxes(np.eye(BINS), np.zeros(BINS))
+
+
 def test_whitened_departures_are_independent() -> None:
     shrunk = (1.0 - METHOD.shrinkage) * correlation(0.8) + METHOD.shrinkage * np.eye(BINS)
-    whitening = Whitening.of(ElementNoise({"c": np.ones(BINS)}, correlation(0.8)), {"c": np.ones(BINS)})
+    whitening = Whitening.of(ElementNoise({"c": np.ones(BINS)}, correlation(0.8)), {"c": np.ones(BINS)}, NO_EVENTS)
     draws = RNG(1).normal(size=(20_000, BINS)) @ np.linalg.cholesky(shrunk).T
     found = whitening(draws)
     # 20,000 draws: 5 x sqrt(2 / 20,000) on the diagonal.
@@ -199,9 +203,9 @@ def test_whitened_departures_are_independent() -> None:
 
 def test_scatter_that_is_an_entrys_own_counts_as_independent() -> None:
     noise = ElementNoise({"c": np.ones(BINS)}, correlation(0.8))
-    factor = Whitening.of(noise, {"c": np.full(BINS, 1e6)}).factor
+    factor = Whitening.of(noise, {"c": np.full(BINS, 1e6)}, NO_EVENTS).factor
     np.testing.assert_allclose(factor, np.eye(BINS), atol=1e-9)
-    half = Whitening.of(noise, {"c": np.full(BINS, 2.0)}).factor
+    half = Whitening.of(noise, {"c": np.full(BINS, 2.0)}, NO_EVENTS).factor
     assert (half @ half.T)[0, 1] == pytest.approx((1.0 - METHOD.shrinkage) * 0.8 * 0.25, rel=1e-12)
 
 

@@ -22,7 +22,7 @@ from scipy.stats import chi2
 
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.frame_components import FrameComponents, between_share, frame_components
-from torchweather.gap.statistics.counting import ANSCOMBE, counted_variance, expected_number
+from torchweather.gap.statistics.counting import ANSCOMBE, counted_variance, expected_number, one_event_sd
 from torchweather.gap.statistics.frame_statistics import COUNTED, TINY, Group, Layout, Pool
 
 __all__ = ["CalibratedScatter", "MeasuredSize", "calibrated_scatter", "log_sd_variance"]
@@ -146,10 +146,16 @@ class _Counted:
         found: Floats = METHOD.counting_prior_frames / (1.0 + (self.expected / METHOD.counting_prior_frames) ** 2)
         return found
 
-    def least(self, group: Group, part: slice) -> Floats:
-        """Variance below which one event more would count by more than ``METHOD.one_event_sd``."""
+    def least(self, group: Group, part: slice, dispersion: float) -> Floats:
+        """Variance below which one event more would count by more than the law of counting says of it.
+
+        That law is as much narrower as the statistic's own frames are alike, but not where hardly any event is
+        expected: of an unseen place nothing says how often it repeats itself.
+        """
         expected = self.expected[part]
-        step = (np.sqrt(expected + 1.0 + ANSCOMBE) - np.sqrt(expected + ANSCOMBE)) / METHOD.one_event_sd
+        narrower = (1.0 + min(dispersion, 1.0) * expected**2) / (1.0 + expected**2)
+        allowed = np.minimum(one_event_sd(expected) / np.sqrt(narrower), METHOD.one_event_sd)
+        step = (np.sqrt(expected + 1.0 + ANSCOMBE) - np.sqrt(expected + ANSCOMBE)) / allowed
         found: Floats = step**2 if group.kind == "count" else step**2 / np.maximum(self.weight[part], 1.0)
         return found
 
@@ -234,8 +240,9 @@ def _scatter(
             simulated[part] = np.minimum(components.within[part], own[part]) * number / frames
             of_clear[part] = noise * told_by_clear[part] * number / clear
         elif group.kind in COUNTED:
-            told, prior, least = counted.told()[part], counted.prior()[part], counted.least(group, part)
-            law = dispersion[group.statistic] * counted.variance[part]
+            alike = dispersion[group.statistic]
+            told, prior, least = counted.told()[part], counted.prior()[part], counted.least(group, part, alike)
+            law = alike * counted.variance[part]
             mixed = (told * variance[part] + prior * law) / (told + prior)
             share_of_null = layout.scatter_share.get(group.statistic, 1.0)
             mixed = mixed * share_of_null

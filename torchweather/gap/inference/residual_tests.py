@@ -1,16 +1,18 @@
 """Tests of the residual, statistic by statistic: a departure of a few entries does not drown in the noise of others.
 
 Of each statistic along each axis the squares of its whitened entries are held against those of noise, and so is the
-pattern that all conditions have in common: what acts alike in each of them is a few numbers there. Of shares and counts
-of what hardly ever happens the expected square is taken (``SimulatedDistribution.expected``).
+pattern that all conditions have in common: what acts alike in each of them is a few numbers there. Each entry has the
+square that noise is expected to leave of it (``SimulatedDistribution.expected``): a statistic of a few bins that hold
+events, and of many that never do, is one of a few entries.
 
 References:
-    GAP.md 3 (7): look at the groups of statistics that the effects leave unchanged.
+    GAP.md 3 (7): look at the groups of statistics that the effects leave unchanged. Satterthwaite 1946 (a sum of
+    squares of different scatter).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,7 +34,7 @@ class ResidualTest:
     Args:
         places: ``(P,)`` group of each entry.
         used: ``(C, P)`` entries that count.
-        noise: ``(G,)`` mean square that an entry has by noise.
+        noise: ``(C, P)`` square of an entry that noise leaves at the mean.
     """
 
     places: NDArray[np.intp]
@@ -40,21 +42,18 @@ class ResidualTest:
     noise: Floats
 
     @property
-    def counted(self) -> Floats:
-        """Number ``(G,)`` of entries that count, over all conditions."""
-        return self._summed(self.used.sum(0))
+    def groups(self) -> int:
+        """Number G of groups."""
+        return int(self.places.max()) + 1
 
     def squares(self, left: Floats) -> Floats:
         """Summed squares ``(G,)`` of what is left ``(C P,)``."""
         return self._summed((left.reshape(self.used.shape) ** 2).sum(0))
 
-    def mean_square(self, expected: Floats) -> Floats:
-        """Mean ``(G,)`` of squares ``(C, P)`` over the entries that count."""
-        return self._summed(expected.sum(0)) / np.maximum(self.counted, 1.0)
-
     def p_value(self, left: Floats) -> float:
         """Probability that noise leaves as much in the group that departs most, of as many groups as there are."""
-        return self._least(self.squares(left), self.counted)
+        level = self.noise * self.used
+        return self._least(self.squares(left), self._summed(level.sum(0)), self._summed((level**2).sum(0)))
 
     def common_p_value(self, left: Floats) -> float:
         """The same of what the conditions have in common: each entry summed over those where it counts, two at least,
@@ -62,21 +61,29 @@ class ResidualTest:
         number = self.used.sum(0)
         common = number > 1
         pattern = (left.reshape(self.used.shape) * self.used).sum(0) / np.sqrt(np.maximum(number, 1))
-        return self._least(self._summed(common * pattern**2), self._summed(common))
+        level = common * (self.noise * self.used).sum(0) / np.maximum(number, 1)
+        return self._least(self._summed(common * pattern**2), self._summed(level), self._summed(level**2))
 
     def _summed(self, values: NDArray[Any]) -> Floats:
         """Values ``(P,)`` summed by group."""
-        return np.asarray(np.bincount(self.places, values, len(self.noise)), dtype=np.float64)
+        return np.asarray(np.bincount(self.places, values, self.groups), dtype=np.float64)
 
-    def _least(self, squares: Floats, counted: Floats) -> float:
-        """Probability of the least likely of some sums of squares, of so many entries each."""
-        some = counted > 0
-        each = chi2.sf(squares[some] / self.noise[some], counted[some])
+    @staticmethod
+    def _least(squares: Floats, level: Floats, level_2: Floats) -> float:
+        """Probability of the least likely of some sums of squares of normal entries.
+
+        Args:
+            squares: ``(G,)``.
+            level, level_2: ``(G,)`` sums of the entries' variances and of their squares.
+        """
+        some = level > 0
+        scale = level_2[some] / level[some]
+        each = chi2.sf(squares[some] / scale, level[some] / scale)
         return float(min(1.0, some.sum() * each.min())) if some.any() else 1.0
 
     def excess(self, left: Floats) -> float:
         """Sum of the excess of groups over what noise leaves."""
-        return float(np.maximum(self.squares(left) - self.noise * self.counted, 0.0).sum())
+        return float(np.maximum(self.squares(left) - self._summed((self.noise * self.used).sum(0)), 0.0).sum())
 
 
 def residual_test(search: SimulatorLikelihood, base: Fit, overdispersion: float) -> ResidualTest:
@@ -89,7 +96,6 @@ def residual_test(search: SimulatorLikelihood, base: Fit, overdispersion: float)
     """
     groups, names = search.model.layout.groups, [target.condition.id for target in search.measured]
     places = np.repeat(np.arange(len(groups)), [group.bins for group in groups])
-    found = ResidualTest(places, np.stack([base.base.used[name] for name in names]), np.ones(len(groups)))
-    expected = np.stack([base.base.expected[name] for name in names]) * found.used
-    level = found.mean_square(expected)
-    return replace(found, noise=overdispersion * np.maximum(level, METHOD.least_level))
+    used = np.stack([base.base.used[name] for name in names])
+    expected = np.stack([base.base.expected[name] for name in names])
+    return ResidualTest(places, used, overdispersion * np.maximum(expected, METHOD.least_level))

@@ -24,6 +24,7 @@ from scipy.linalg import solve_triangular
 
 from torchweather.gap.inference.calibrated_scatter import MeasuredSize, calibrated_scatter
 from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.events_along_axes import EventsAlongAxes, events_along_axes
 from torchweather.gap.statistics.frame_statistics import TINY, Layout, Pool, Reduced
 from torchweather.gap.study.conditions import Condition
 from torchweather.pipeline.effect import Effect
@@ -177,14 +178,15 @@ class Whitening:
     factor: Floats
 
     @classmethod
-    def of(cls, noise: ElementNoise, sd: Mapping[str, Floats]) -> Whitening:
-        """Correlations of entries whose scatter ``sd`` is the elements' and more that is each entry's own."""
+    def of(cls, noise: ElementNoise, sd: Mapping[str, Floats], events: EventsAlongAxes) -> Whitening:
+        """Correlations of entries whose scatter ``sd`` is the elements' and more that is each entry's own; of counts
+        also as far as no event was simulated."""
         names = list(noise.scatter)
         share = np.mean([noise.scatter[name] / np.maximum(sd[name], 1e-300) for name in names], 0)
         share = np.clip(share, 0.0, 1.0)
-        correlation = (1.0 - METHOD.shrinkage) * noise.correlation * np.outer(share, share)
+        correlation = (1.0 - METHOD.shrinkage) * events.mixed(noise.correlation, share)
         np.fill_diagonal(correlation, 1.0)
-        return cls(np.linalg.cholesky(correlation))
+        return cls(np.asarray(np.linalg.cholesky(correlation), dtype=np.float64))
 
     def __call__(self, scaled: Floats) -> Floats:
         """Departures ``(..., P)`` in units of their scatter to independent ones."""
@@ -286,7 +288,7 @@ def simulated_distribution(
         shared[name] = np.sqrt(clear / np.maximum(apart, TINY**2))
         used[name] = target.enough & pools[name].enough(target.frames) & (apart > TINY**2)
     # The clear frames' noise is that of the same elements: it goes together as the frames' own does.
-    whitening = Whitening.of(noise, owns) if start is None else start.whitening
+    whitening = Whitening.of(noise, owns, events_along_axes(layout, pools)) if start is None else start.whitening
     return SimulatedDistribution(
         mean={name: one.mean for name, one in found.items()},
         sd=sds,

@@ -18,7 +18,7 @@ from scipy.stats import poisson
 
 from torchweather.gap.inference.config import METHOD
 
-__all__ = ["ANSCOMBE", "counted_variance", "expected_number", "root_variance"]
+__all__ = ["ANSCOMBE", "counted_variance", "expected_number", "one_event_sd", "root_variance"]
 
 Floats = NDArray[np.float64]
 
@@ -64,6 +64,22 @@ def expected_number(counted: Floats, frames: Floats | float, number: int) -> Flo
         [0.0625, 1.5625]
     """
     found: Floats = number * (np.asarray(counted, dtype=np.float64) + METHOD.jeffreys_events) / frames
+    return found
+
+
+def one_event_sd(expected: Floats) -> Floats:
+    """Standard deviations by which a Poisson count departs that is one event above the expected number.
+
+    The root of its deviance, ``2 ((m + 1) ln((m + 1) / m) - 1)`` for an expected m.
+
+    Args:
+        expected: m, any shape, above 0.
+
+    Example:
+        >>> one_event_sd(np.array([0.05, 1.0, 100.0])).round(2).tolist()
+        [2.1, 0.88, 0.1]
+    """
+    found: Floats = np.sqrt(2.0 * ((expected + 1.0) * np.log1p(1.0 / expected) - 1.0))
     return found
 
 

@@ -96,6 +96,7 @@ class Layout:
             together.
         about_clear_mean: squares, or products of two elements, about the mean of the clear frames.
         scatter_share: statistics whose variance is not what portions, or simulated frames, tell: its ratio to that.
+        same_events: counted statistics to another one that counts the same events.
     """
 
     binned: tuple[Group, ...]
@@ -106,6 +107,7 @@ class Layout:
     about_own_mean: tuple[str, ...] = ()
     about_clear_mean: tuple[str, ...] = ()
     scatter_share: Mapping[str, float] = field(default_factory=dict)
+    same_events: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def groups(self) -> tuple[Group, ...]:

@@ -65,6 +65,11 @@ MAPS = ("particles",)
 FROM_CLEAR = ("log_intensity_spread", "range_residual_spread")  # noise that simulated frames have from clear ones
 
 ABOUT_CLEAR_MEAN = ("range_residual_spread",)
+SAME_EVENTS = {
+    "lost_share_of_thin_targets": "lost_share",
+    "particles_before_objects": "new_share",
+    "particles_of_empty_beams": "new_share_of_empty_beams",
+}
 
 
 def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, beams: int) -> Layout:
@@ -100,7 +105,15 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, b
         groups.append(Group("zero_intensity_share_of_particles", "particle_range_m", "share", PARTICLE_RANGE_M))
     add("lost_share_of_thin_targets", "share", ("isolated",))
     steady = (STEADY_COUNT / math.sqrt(max(beams, 1)), STEADY_COUNT, STEADY_RATIO, STEADY_COUNT)
-    return Layout(tuple(groups), SCALARS, steady, MAPS, FROM_CLEAR, about_clear_mean=ABOUT_CLEAR_MEAN)
+    return Layout(
+        tuple(groups),
+        SCALARS,
+        steady,
+        MAPS,
+        FROM_CLEAR,
+        about_clear_mean=ABOUT_CLEAR_MEAN,
+        same_events=SAME_EVENTS,
+    )
 
 
 def map_cells() -> list[tuple[float, float]]:
