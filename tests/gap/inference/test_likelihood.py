@@ -63,15 +63,34 @@ def test_null_residuals_have_the_moments_of_noise_and_nuisance(null: SimulatorLi
     found = null.null_residuals(one, number, 0)
     expected = np.concatenate([null.start.expected[aim.condition.id] for aim in null.measured]) * counted
     variance = expected + (one.response**2).sum(1)
-    # 4,000 draws: 5 x sqrt(2 / 4,000) = 11 %.
-    np.testing.assert_allclose(found.var(0), variance, rtol=0.12, atol=1e-12)
-    assert (np.abs(found.mean(0)) <= 5.0 * np.sqrt(variance / number)).all()
+    elements = np.tile(null.model.layout.by_elements, len(null.measured))
+    # 4,000 draws: 5 x sqrt(2 / 4,000) = 11 %. The own noise of counts is that of a few dozen simulated frames, whose
+    # variance is known to sqrt(2 / 32) = 25 %, and comes through the correlations to others.
+    np.testing.assert_allclose(found.var(0)[elements], variance[elements], rtol=0.12, atol=0.01)
+    near = np.isclose(found.var(0), variance, rtol=0.25, atol=0.01)
+    assert near[~elements].mean() > 0.98
+    assert found.var(0).sum() == pytest.approx(variance.sum(), rel=0.05)
+    assert (np.abs(found.mean(0)) <= 6.0 * np.sqrt(np.maximum(variance, 0.01) / number)).all()
     # What M leaves of noise with a covariance of 1 + G G' is one for each entry: tr(M (1 + G G')) = P. Of noise with
     # the variances V, tr(M (V + G G')) = P - tr(M (1 - V)).
     misfit = np.einsum("rk,rk->r", found, one(found))
     left = one(np.eye(len(expected)))
     of_misfit = len(expected) - float(np.diag(left) @ (1.0 - expected))
-    assert misfit.mean() == pytest.approx(of_misfit, abs=5.0 * math.sqrt(2.0 * of_misfit / number))
+    assert misfit.mean() == pytest.approx(of_misfit, rel=0.05)
+
+
+def test_null_residuals_of_counts_go_together(null: SimulatorLikelihood) -> None:
+    """One particle is a return, a loss and a cell of the map: no correlation of portions holds all of that."""
+    nuisance, size = null.nuisance(null.origin, null.start), null.model.layout.size
+    found, by_nuisance = null.null_residuals(nuisance, 4000, 0), nuisance.drawn(RNG(1), 4000)
+    name = null.measured[0].condition.id
+    counts = ~null.model.layout.by_elements & (null.start.expected[name] > 0.8) & null.start.used[name]
+    drawn = null.start.whitened(name, null.start.draws[name] - null.start.mean[name])[:, counts]
+    own, moved = (one[:, :size][:, counts] for one in (found, by_nuisance))
+    apart = ~np.eye(int(counts.sum()), dtype=bool)
+    alike, of_nulls = np.cov(drawn.T)[apart], (np.cov(own.T) - np.cov(moved.T))[apart]
+    assert alike.std() > 0.1
+    assert np.corrcoef(alike, of_nulls)[0, 1] > 0.9
 
 
 # ---- the simulator ---------------------------------------------------------------------------------------------------

@@ -307,6 +307,22 @@ MUTANTS = (
         ("tests/gap/inference/test_calibrated_scatter.py::test_no_rare_count_departs_by_more_than_its_deviance",),
     ),
     Mutant(
+        "nulls_keep_the_places_of_the_measurement",
+        "a null is tried at the place where it departs most, as the measurement is",
+        "torchweather.gap.inference.global_test",
+        "best = np.stack([generator.permutation(one_place) for _ in range(places)]).max(0)",
+        "best = one_place",
+        ("tests/gap/inference/test_global_test.py::test_a_null_is_tried_at_the_best_of_its_places",),
+    ),
+    Mutant(
+        "nulls_of_counts_are_normal",
+        "the own noise of nulls is that of simulated frames",
+        "torchweather.gap.inference.likelihood",
+        "elements = self.model.layout.by_elements",
+        "elements = np.ones(self.model.layout.size, dtype=bool)",
+        ("tests/gap/inference/test_likelihood.py::test_null_residuals_of_counts_go_together",),
+    ),
+    Mutant(
         "bins_without_events_count_as_noise",
         "a statistic has as many entries as hold its noise",
         RESIDUAL,

@@ -224,9 +224,7 @@ def _scatter(
     known = pool.known_to(number, size.misplaced) ** 2
     # Means of elements, and what happens by chance in clear frames: the noise of elements is known from the clear
     # frames of all scenes, and their own error is the same in all conditions of one.
-    by_elements = (layout.averages | layout.each(lambda group: group.statistic in layout.from_clear)) & ~layout.each(
-        lambda group: group.kind in COUNTED
-    )
+    by_elements = layout.by_elements
     from_clear = layout.each(lambda group: group.statistic in layout.from_clear)
     # What happens by chance in clear frames is simulated as often as they show it: their error is all of it. The same
     # holds for squares about the mean of two frames, which are alike in both.

@@ -18,6 +18,7 @@ class InferenceConfig:
     # ---- Global test ----
     null_draws: int = 1000  # draws of the null distribution of the largest delta chi-square
     departures: int = 4  # patterns that are looked at; the chance of an alarm is that of any of them
+    places_looked_at: int = 2  # in azimuth, where the measurement departs most, for effects with a place
     refined_share: float = 0.25  # of the largest delta chi-square, from which a whole response curve is simulated
 
     # ---- Forward selection ----

@@ -22,7 +22,15 @@ from torchweather.gap.inference.simulated_distribution import SimulatedDistribut
 from torchweather.gap.inference.starting_points import PLACES, parameter_grids
 from torchweather.pipeline.effect import Effect
 
-__all__ = ["GlobalTest", "overdispersion", "counted_entries", "expected_square", "located_templates", "run_global_test"]
+__all__ = [
+    "GlobalTest",
+    "best_of_places",
+    "overdispersion",
+    "counted_entries",
+    "expected_square",
+    "located_templates",
+    "run_global_test",
+]
 
 Floats = NDArray[np.float64]
 
@@ -84,7 +92,9 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
     ]
     templates += search.templates(remaining, search.origin, search.start)
     nulls = search.null_residuals(nuisance, METHOD.null_draws, seed)
-    best_null = delta_chi2(templates, nuisance(nulls), nuisance).max(1) * overdispersion(search)
+    of_nulls = delta_chi2(templates, nuisance(nulls), nuisance)
+    placed = np.array([any(one.name in PLACES for one in template.grid.effect.arguments) for template in templates])
+    best_null = best_of_places(of_nulls, placed, _sectors(search), seed) * overdispersion(search)
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
     gain = delta_chi2(templates, left[None], nuisance)[0]
     misfit = search.misfit(residual, nuisance)
@@ -133,6 +143,32 @@ def azimuths(search: SimulatorLikelihood, base: SimulatedDistribution) -> list[f
         elsewhere = [place for place in best[1:] if abs(middles[place] - middles[best[0]]) > 0.6]
         found += [float(middles[elsewhere[0]])] if elsewhere else []
     return found
+
+
+def best_of_places(gains: Floats, placed: NDArray[np.bool_], places: int, seed: int) -> Floats:
+    """Largest gain ``(R,)`` of each null where effects with a place are tried at the one of several that departs most.
+
+    The templates at hand are of places at which the measurement departs, not of where a null would. So of each null
+    the best of as many others stands for that: their gains at a place that nothing chose.
+
+    Args:
+        gains: ``(R, templates)`` of the nulls.
+        placed: ``(templates,)`` those of effects with a place.
+        places: number that there are to choose from.
+        seed: of the choice of other nulls.
+    """
+    if not placed.any():
+        return np.asarray(gains.max(1), dtype=np.float64)
+    generator = np.random.default_rng([seed, 32452843])
+    one_place = gains[:, placed].max(1)
+    best = np.stack([generator.permutation(one_place) for _ in range(places)]).max(0)
+    return np.asarray(np.maximum(best, gains[:, ~placed].max(1, initial=0.0)), dtype=np.float64)
+
+
+def _sectors(search: SimulatorLikelihood) -> int:
+    """Places in azimuth to choose from, over those that are looked at."""
+    bins = max((group.bins for group in search.model.layout.groups if group.axis == "azimuth_rad"), default=1)
+    return max(bins // METHOD.places_looked_at, 1)
 
 
 def overdispersion(search: SimulatorLikelihood) -> float:

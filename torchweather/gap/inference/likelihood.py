@@ -242,12 +242,13 @@ class SimulatorLikelihood:
         return found
 
     def whitened(self, base: SimulatedDistribution, differences: Sequence[Floats]) -> Floats:
-        """Differences of vectors, condition by condition, to one whitened vector ``(C P,)``."""
+        """Differences ``(..., P)`` of vectors, condition by condition, to one whitened vector ``(..., C P)``."""
         parts = [
             base.whitened(target.condition.id, difference)
             for target, difference in zip(self.measured, differences, strict=True)
         ]
-        return self._parted(base, np.stack(parts), -0.5).ravel()
+        found = self._parted(base, np.stack(parts, -2), -0.5)
+        return found.reshape(*found.shape[:-2], -1)
 
     @property
     def _names(self) -> list[str]:
@@ -311,10 +312,20 @@ class SimulatorLikelihood:
 
     def null_residuals(self, nuisance: Systematics, number: int, seed: int) -> Floats:
         """Departures ``(R, C P)`` of a measurement without a missing effect: noise of every entry, and the nuisances
-        off by random draws."""
+        off by random draws.
+
+        The measured frames' own noise is that of drawn simulated frames, tails and all. What else is expected of an
+        entry, the errors of the simulated mean and of the clear frames, is normal; so is the noise of elements, of
+        which simulated frames show no more than their few clear frames.
+        """
         generator = np.random.default_rng([seed, 15485863])
         expected = np.concatenate([self.start.expected[name] * self.start.used[name] for name in self._names])
-        noise = generator.normal(size=(number, len(expected))) * np.sqrt(expected)
+        elements = self.model.layout.by_elements
+        drawn = [np.where(elements, 0.0, self.start.draws[name] - self.start.mean[name]) for name in self._names]
+        rows = [generator.integers(len(one), size=number) for one in drawn]
+        own = self.whitened(self.start, [one[row] for one, row in zip(drawn, rows, strict=True)])
+        lacking = np.sqrt(np.maximum(expected - own.var(0), 0.0))
+        noise = own + generator.normal(size=own.shape) * lacking
         found: Floats = noise + nuisance.drawn(generator, number)
         return found
 

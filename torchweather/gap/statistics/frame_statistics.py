@@ -144,6 +144,14 @@ class Layout:
         return self.each(lambda group: group.is_average_of(group.statistic))
 
     @property
+    def by_elements(self) -> NDArray[np.bool_]:
+        """``(size,)`` entries whose scatter is that of the noise of elements: means of them, and what happens to them
+        by chance in clear frames, but for counts."""
+        from_clear = self.each(lambda group: group.statistic in self.from_clear)
+        counted = self.each(lambda group: group.kind in COUNTED)
+        return np.asarray((self.averages | from_clear) & ~counted, dtype=np.bool_)
+
+    @property
     def bins(self) -> int:
         """Number of entries that come from sums over bins."""
         return sum(group.bins for group in self.binned)
