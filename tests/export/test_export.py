@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import Fog, Mixture, Rain, Snow
 from torchweather.core.errors import TorchweatherError
+from torchweather.core.random import ABSENT
 from torchweather.export import draw_feed, fuse, to_onnx
 from torchweather.sensors import Camera
 from torchweather.transforms import BayerFog, BayerRain, BayerSnow, BayerWeather
@@ -191,6 +192,18 @@ def test_draw_feed_gives_the_numbers_of_draw_bit_for_bit(graphs: Callable[[str],
         for key, value in noise.items():
             assert feed[key].dtype == np.float32
             assert np.array_equal(feed[key], value.numpy())
+
+
+def test_shells_of_a_graph_hold_unused_slots(graphs: Callable[[str], Graph]) -> None:
+    graph, size = graphs("rain"), SIZES[0]
+    bayer, depth = scene(size)
+    whole = draw_feed(graph.session, height=size[0], width=size[1], seed=5)
+    shells = [name for name in whole if "shell" in name]
+    unused = np.full((1, 3, 4), ABSENT, np.float32)
+    longer = {name: np.concatenate([value, unused], 1) if name in shells else value for name, value in whole.items()}
+    assert len(shells) > 1
+    given = (graph.transform.camera, bayer, depth, {"rate_mm_per_h": 25.0})
+    assert np.array_equal(graph(*given, longer), graph(*given, whole))
 
 
 def test_a_feed_at_the_rate_is_the_first_part_of_the_whole_feed_and_gives_the_same(

@@ -208,8 +208,8 @@ def _horizon_sky_at_once(state: CameraState) -> tuple[Tensor, Tensor]:
 
 def _picked(image: Tensor, cell_px: int) -> Tensor:
     """Mask ``(H, W)`` of the pixels that ``thinned`` takes by ``STRIDES_PX``."""
-    place = [torch.arange(size, device=image.device) for size in image.shape[-2:]]
-    down, across = (torch.remainder(at, step) < cell_px for at, step in zip(place, STRIDES_PX, strict=True))
+    place = [torch.arange(size, device=image.device, dtype=image.dtype) for size in image.shape[-2:]]
+    down, across = (torch.fmod(at, step) < cell_px for at, step in zip(place, STRIDES_PX, strict=True))
     return down.unsqueeze(1) & across
 
 

@@ -45,7 +45,7 @@ def rays_of(camera: Camera, x: Tensor, y: Tensor, layer_top_m: float = math.inf)
 
     Args:
         camera: mounting: height, pitch, roll.
-        x, y: ``(H, W)`` or broadcast to it, undistorted normalised coordinates.
+        x, y: ``(H, W)`` or ``(1, 1, H, W)``, or broadcast to it, undistorted normalised coordinates.
         layer_top_m: height of the layer's top, metres.
 
     Example:
@@ -55,13 +55,20 @@ def rays_of(camera: Camera, x: Tensor, y: Tensor, layer_top_m: float = math.inf)
     """
     right, down, forward = camera.down_direction()
     per_depth = torch.sqrt(1 + x.square() + y.square())
-    sine = -(right * x + down * y + forward) / per_depth
+    # Of a camera without roll that of the rows alone.
+    falling = right * x + down * y if right else down * y
+    sine = -(falling + forward) / per_depth
     in_layer = None
     if math.isfinite(layer_top_m):
         level_m = math.sqrt(2 * EARTH_RADIUS_M * layer_top_m)
         rising_m = (layer_top_m - camera.height_m) / sine.clamp_min(LEVEL_SINE)
-        in_layer = rising_m.clamp_max(level_m)[None, None]
-    return Rays(per_depth[None, None], sine[None, None], in_layer)
+        in_layer = _map(rising_m.clamp_max(level_m))
+    return Rays(_map(per_depth), _map(sine), in_layer)
+
+
+def _map(values: Tensor) -> Tensor:
+    """Values of all pixels ``(1, 1, H, W)``."""
+    return values if values.ndim == 4 else values[None, None]
 
 
 def rays_of_frame(

@@ -96,9 +96,9 @@ class _CameraGraph(nn.Module):
     ) -> Tensor:
         height, width = image.shape[-2:]
         fx, fy, cx, cy = intrinsics
-        x = (torch.arange(width, device=image.device).to(image.dtype) - cx) / fx
-        y = (torch.arange(height, device=image.device).to(image.dtype) - cy) / fy
-        rays = rays_of(self.camera, *self.camera.undistort(x.unsqueeze(0), y.unsqueeze(1)), self.layer_top_m)
+        x = (torch.arange(width, device=image.device, dtype=image.dtype) - cx) / fx
+        y = (torch.arange(height, device=image.device, dtype=image.dtype) - cy) / fy
+        rays = rays_of(self.camera, *self.camera.undistort(x, y[None, None, :, None]), self.layer_top_m)
         named_shares = dict(zip(self.shares, shares, strict=True))
         state = CameraState.of(
             signal=linear_planes(image) if self.cfa_index is None else image,

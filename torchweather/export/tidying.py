@@ -149,6 +149,20 @@ def _where(graph: Any, node: Any) -> Any:
     return taken if _are_same(taken, node.outputs[0]) else None
 
 
+def _neutral(number: float) -> Callable[[Any, Any], Any]:
+    """An operand that a number beside it leaves as it is."""
+
+    def rule(graph: Any, node: Any) -> Any:
+        for value, other in (node.inputs, reversed(node.inputs)):
+            constant = _constant(other)
+            is_number = constant is not None and constant.size and bool((constant == number).all())
+            if is_number and _are_same(value, node.outputs[0]):
+                return value
+        return None
+
+    return rule
+
+
 def _transpose(graph: Any, node: Any) -> Any:
     """A tensor that is transposed twice stays."""
     before = node.inputs[0].producer()
@@ -166,4 +180,6 @@ RULES: dict[str, Callable[[Any, Any], Any]] = {
     "Gather": _gather,
     "Where": _where,
     "Transpose": _transpose,
+    "Mul": _neutral(1.0),
+    "Add": _neutral(0.0),
 }

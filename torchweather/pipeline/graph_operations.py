@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -12,13 +12,17 @@ from torch import Tensor
 __all__ = [
     "cells_apart",
     "cells_together",
-    "columns_as_rows",
     "columns_at",
+    "entries_at",
+    "last_row_and_column",
     "parts_of",
     "repeated",
     "rows_as_columns",
     "rows_at",
     "shaped_as",
+    "sums_before",
+    "sums_of_rows",
+    "weighted_sum",
     "writing_onnx",
 ]
 
@@ -72,6 +76,13 @@ def rows_at(table: Tensor, place: Tensor) -> Tensor:
     return _node("Gather", [table, place], (*place.shape, *table.shape[1:]), table.dtype, axis=0)
 
 
+def entries_at(row: Tensor, place: Tensor) -> Tensor:
+    """Entries ``(1, ...)`` of a row ``(1, n)`` at places of any shape."""
+    if not _is_writing:
+        return row[:, place]
+    return _node("Gather", [row, place], (1, *place.shape), row.dtype, axis=1)
+
+
 def columns_at(table: Tensor, place: Tensor) -> Tensor:
     """Columns ``(m, P)`` of a table ``(m, n)`` at places ``(1, P)``."""
     return table.gather(1, place.expand(len(table), -1))
@@ -108,11 +119,61 @@ def rows_as_columns(table: Tensor) -> Tensor:
     return _node("Gemm", [_ones(table, table.shape[1]), table], (table.shape[1], table.shape[0]), table.dtype, transB=1)
 
 
-def columns_as_rows(table: Tensor) -> Tensor:
-    """A table ``(m, n)`` of few rows as ``(n, m)``; see ``rows_as_columns``."""
+def sums_of_rows(
+    rows: Mapping[str, Tensor], sums: Sequence[Mapping[str, float]], *, as_columns: bool = False
+) -> Tensor:
+    """Weighted sums ``(m, P)`` of rows ``(1, P)``, one for each mapping of a row's name to its weight.
+
+    The name ``""`` is a constant; row k of a table ``(n, P)`` is ``name.k``.
+
+    Args:
+        rows: finite numbers.
+        sums: the weights.
+        as_columns: give ``(P, m)``.
+    """
+    names = [f"{name}.{k}" if len(one) > 1 else name for name, one in rows.items() for k in range(len(one))]
+    if _is_writing:
+        table = torch.cat(list(rows.values()))
+        weights = np.array([[one.get(name, 0.0) for name in names] for one in sums], np.float32)
+        constants = torch.from_numpy(np.array([[one.get("", 0.0)] for one in sums], np.float32))
+        if as_columns:
+            shape, turned = (table.shape[1], len(sums)), torch.from_numpy(weights.T.copy())
+            return _node("Gemm", [table, turned, constants.flatten()], shape, table.dtype, transA=1)
+        shape = (len(sums), table.shape[1])
+        return _node("Gemm", [torch.from_numpy(weights), table, constants], shape, table.dtype)
+    # Not by a product of matrices, which a GPU may round to 10 bits.
+    each = dict(zip(names, (row for table in rows.values() for row in table.split(1)), strict=True))  # type: ignore[no-untyped-call]
+    found = torch.cat([_sum([(weight, each[name]) for name, weight in one.items() if name]) for one in sums])
+    if any("" in one for one in sums):
+        found = found + found.new_tensor([[one.get("", 0.0)] for one in sums])
+    return found.T if as_columns else found
+
+
+def weighted_sum(table: Tensor, weights: Sequence[float]) -> Tensor:
+    """Sum ``(1, P)`` of the rows of a table ``(m, P)`` with weights."""
+    if _is_writing:
+        row = torch.from_numpy(np.array([weights], np.float32)).to(table)
+        return _node("MatMul", [row, table], (1, table.shape[1]), table.dtype)
+    return _sum(list(zip(weights, table.split(1), strict=True)))  # type: ignore[no-untyped-call]
+
+
+def _sum(terms: Sequence[tuple[float, Tensor]]) -> Tensor:
+    first, *others = (one if weight == 1 else weight * one for weight, one in terms)
+    return sum(others, first)
+
+
+def sums_before(values: Tensor) -> Tensor:
+    """Of each of ``(n,)`` numbers the sum of all before it."""
     if not _is_writing:
-        return table.T
-    return _node("Gemm", [table, _ones(table, table.shape[0])], (table.shape[1], table.shape[0]), table.dtype, transA=1)
+        return torch.cumsum(values, 0) - values
+    return _node("CumSum", [values, torch.tensor(0)], values.shape, values.dtype, exclusive=1)
+
+
+def last_row_and_column(size: tuple[int, int], like: Tensor) -> Tensor:
+    """Numbers ``(2, 1)`` of the last row and column of an image of a size."""
+    if not _is_writing:
+        return like.new_tensor([[size[0] - 1.0], [size[1] - 1.0]])
+    return torch.stack([torch.scalar_tensor(one, dtype=like.dtype) for one in size])[:, None] - 1.0
 
 
 def _ones(like: Tensor, size: int) -> Tensor:
@@ -120,7 +181,7 @@ def _ones(like: Tensor, size: int) -> Tensor:
 
 
 def _node(
-    name: str, inputs: list[Tensor | None], shape: Sequence[int], dtype: torch.dtype, **attributes: int
+    name: str, inputs: Sequence[Tensor | None], shape: Sequence[int], dtype: torch.dtype, **attributes: int
 ) -> Tensor:
     """One node of a graph."""
-    return torch.onnx.ops.symbolic(name, inputs, {**attributes}, dtype=dtype, shape=shape)
+    return torch.onnx.ops.symbolic(name, [*inputs], {**attributes}, dtype=dtype, shape=shape)

@@ -100,6 +100,19 @@ def test_marks_of_like_columns_and_pairs_add_up_to_every_pixel_of_every_mark(
     assert float(wanted.max()) > 0.05
 
 
+def test_a_path_of_a_graph_is_the_trapezoid_of_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    random = torch.Generator().manual_seed(2)
+    length, chord = (0.01 + 30.0 * torch.rand(1, 4000, generator=random) ** 3 for _ in range(2))
+    row = torch.floor(70.0 * torch.rand(1, 4000, generator=random))
+    offset = -0.5 * (length + chord) + torch.rand(1, 4000, generator=random) - 0.5
+    by_torch = streaks._along(row, offset, length, chord)
+    monkeypatch.setattr(streaks, "is_exporting", lambda: True)
+    # Differences of squares up to 100 px: some steps of float32 of 1e4, 1e-3 each.
+    torch.testing.assert_close(streaks._along(row, offset, length, chord), by_torch, rtol=1e-5, atol=1e-2)
+    assert float(by_torch.max()) > 10.0
+    assert float((by_torch == 0).float().mean()) > 0.1  # rows behind the far end
+
+
 def test_marks_of_several_samples_stay_apart() -> None:
     marks = marks_of(0.3, 3.0)
     depth_m = torch.full((2 * HEIGHT * WIDTH,), 100.0)

@@ -18,6 +18,14 @@ MUTANTS = (
         ("tests/export/test_tidying.py::test_a_simpler_graph_gives_the_same_numbers[a choice that is made]",),
     ),
     Mutant(
+        "any_number_leaves_an_operand",
+        "an operand is left as it is by 1 where it is multiplied, by 0 where it is added",
+        "torchweather.export.tidying",
+        "bool((constant == number).all())",
+        "bool((constant >= number).all())",
+        ("tests/export/test_tidying.py::test_a_simpler_graph_gives_the_same_numbers[another number beside it]",),
+    ),
+    Mutant(
         "changed_in_place_while_read",
         "an operation in place is replaced only where nothing else reads its input",
         "torchweather.export.decomposing",

@@ -24,7 +24,7 @@ from torchweather.camera.particles.haze_convolution import streaky_maps
 from torchweather.camera.state import CameraState
 from torchweather.core.device_normals import normals_by_torch
 from torchweather.core.random import normals_of_key
-from torchweather.pipeline.graph_operations import columns_at, parts_of, rows_at, shaped_as
+from torchweather.pipeline.graph_operations import columns_at, entries_at, parts_of, shaped_as
 from torchweather.pipeline.tiling import is_exporting, rows_of
 
 if TYPE_CHECKING:
@@ -72,18 +72,19 @@ def haze_depth(
     if state.air.particle_reach_m is not None:
         depth_m = torch.minimum(depth_m, state.air.particle_reach_m.float().clamp_min(1e-6).view(-1, 1, 1, 1))
     foot = depth_m / scale
-    read = _reader((torch.log(foot) - t.log_footprint_low) / t.log_footprint_step, tables.haze_depth.shape[1])
-    if is_exporting():
-        of_pixels = tables.haze_variance * scale
-        on_axis, variance = read(tables.haze_depth * scale, of_pixels)
+    node = (torch.log(foot) - t.log_footprint_low) / t.log_footprint_step
+    read = _reader(node, tables.haze_depth.shape[1])
+    if tables.at_once is not None:
+        every = tables.at_once.by_footprint * scale
+        on_axis, variance = (shaped_as(one, state.scene.depth_m) for one in _read_at_once(node, every))
     else:
         on_axis, variance = (one * scale for one in read(tables.haze_depth, tables.haze_variance))
     ray = rows_of(state.scene.ray_per_depth, first, last).float()
 
     fields = noise[f"{population.weather.kind}_haze"].to(state.image.signal.device)  # (B, J, H, W)
-    if is_exporting():
+    if tables.at_once is not None:
         maps = streaky_maps(fields, tables, population)
-        deviation = _deviation_at_once(of_pixels, variance, maps, population) * ray
+        deviation = _deviation_at_once(every, variance, maps, population) * ray
     else:
         deviation = _deviation(population, tables, variance, fields, first, last, scale) * ray
     mean, variance = on_axis * ray, variance * ray.square()
@@ -142,9 +143,7 @@ def _reader(node: Tensor, nodes: int) -> Callable[..., list[Tensor]]:
 
 def _reader_of_graph(node: Tensor, nodes: int) -> Callable[..., list[Tensor]]:
     """``_reader`` of tables of one sample, which are read together."""
-    flat = node.reshape(1, -1)
-    cell = flat.floor().clamp(0.0, nodes - 2.0)
-    share, place = (flat - cell).clamp(0.0, 1.0), cell.long()
+    share, place = _between_nodes(node, nodes)
 
     def read(*tables: Tensor) -> list[Tensor]:
         every = torch.cat(tables)
@@ -152,6 +151,20 @@ def _reader_of_graph(node: Tensor, nodes: int) -> Callable[..., list[Tensor]]:
         return [shaped_as(one, node) for one in parts_of(low + share * (high - low), (1,) * len(tables))]
 
     return read
+
+
+def _read_at_once(node: Tensor, every: Tensor) -> list[Tensor]:
+    """Depth and variance of the haze, each ``(1, pixels)``, from ``(1, 4 * nodes)`` of both and then their steps."""
+    share, place = _between_nodes(node, every.shape[1] // 4)
+    low, rise = parts_of(columns_at(every.view(4, -1), place), (2, 2))
+    return parts_of(low + share * rise, (1, 1))
+
+
+def _between_nodes(node: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
+    """Place behind a node, 0 to 1, and the node's number, ``(1, pixels)``."""
+    flat = node.reshape(1, -1)
+    cell = flat.floor().clamp(0.0, nodes - 2.0)
+    return (flat - cell).clamp(0.0, 1.0), cell.long()
 
 
 def _deviation(
@@ -181,12 +194,12 @@ def _deviation(
     return total
 
 
-def _deviation_at_once(table: Tensor, variance: Tensor, maps: Tensor, population: Population) -> Tensor:
-    """``_deviation`` of all shells in few operations, of their maps ``(1, J, H, W)`` and a table of the variance."""
+def _deviation_at_once(every: Tensor, variance: Tensor, maps: Tensor, population: Population) -> Tensor:
+    """``_deviation`` of all shells in few operations, of their maps ``(1, J, H, W)`` and the tables of a graph."""
 
     def at_ends(nodes: list[int]) -> Tensor:
-        place = torch.from_numpy(np.array(nodes)).to(variance.device)
-        return rows_at(table[0], place[:, None, None])
+        place = torch.from_numpy(np.array(nodes)).to(variance.device) + every.shape[1] // 4
+        return entries_at(every, place[:, None, None])
 
     low = at_ends([shell.first_node for shell in population.haze_shells])
     high = at_ends([shell.last_node for shell in population.haze_shells])

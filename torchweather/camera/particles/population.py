@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from copy import copy as shallow_copy
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -45,6 +45,7 @@ DISPLACED = (0.8191725134, 0.6710436067, 0.5497004779)
 SLOWEST = 0.1  # of a rolling shutter relative to a particle, in rows: beyond that its mark grows no longer
 # Columns of a point: image column and row, depth, level.
 COLUMN_U, COLUMN_V, COLUMN_DEPTH, COLUMN_LEVEL, COLUMNS = 0, 1, 2, 3, 4
+BETWEEN_SHELLS = ABSENT + 1.0  # level of no point
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ class AtRate:
         count: ``(B,)`` particles at the densest place over those of the rate; ``None`` is 1.
         banks: where they are dense; ``None`` is everywhere alike.
         path_density: ``(B, 1, H, W)`` mean density in front of the scene; ``None`` likewise.
+        at_once: how a graph reads the same tables; ``None`` elsewhere.
     """
 
     bounds: Tensor
@@ -91,6 +93,22 @@ class AtRate:
     count: Tensor | None = None
     banks: Banks | None = None
     path_density: Tensor | None = None
+    at_once: _AtOnce | None = None
+
+
+@dataclass(frozen=True)
+class _AtOnce:
+    """Tables at one rate, each with what a straight line between its nodes needs.
+
+    Args:
+        bounds: ``(2, shells * nodes)`` those of ``AtRate``, then their steps to the next node.
+        by_level: ``(4, nodes)`` outline and fall speed, then both one node further.
+        by_footprint: ``(1, 4 * nodes)`` depth and variance of the haze, then their steps to the next node.
+    """
+
+    bounds: tuple[Tensor, Tensor]
+    by_level: Tensor
+    by_footprint: Tensor
 
 
 class Population(nn.Module):
@@ -325,9 +343,9 @@ class Population(nn.Module):
 
         # Linear tables (optical depth, variance) follow the rate's power law below the first node.
         low = torch.exp(share.clamp_max(0.0) * self.tables.log_rate_step)
-        held = share.clamp_min(0.0)
         if is_exporting():
-            return self._at_one_rate(index, share, held, torch.where(falls, low, 0.0), falls, count)
+            return self._at_one_rate(index, share, torch.where(falls, low, 0.0), falls, count)
+        held = share.clamp_min(0.0)
         amount = falls.to(rate.dtype)[:, None]
         if count is not None:
             amount = amount * count.to(rate.dtype)[:, None]
@@ -349,35 +367,44 @@ class Population(nn.Module):
             count,
         )
 
-    def _at_one_rate(
-        self, index: Tensor, share: Tensor, held: Tensor, amount: Tensor, falls: Tensor, count: Tensor | None
-    ) -> AtRate:
+    def _at_one_rate(self, index: Tensor, share: Tensor, amount: Tensor, falls: Tensor, count: Tensor | None) -> AtRate:
         """``at_rate`` in few operations, as a graph of one rate holds it; each argument is ``(1,)``.
 
         Args:
-            index, share, held: node of the rate, place behind it, the same from 0 on.
+            index, share: node of the rate, place behind it.
             amount: of the linear tables.
             falls, count: as in ``AtRate``.
         """
-        along, across = self.along_table, self.across_table
-        steep: list[Any] = [self.tails_at_cut, self.outline, self.speed]
-        flat: list[Any] = [self.depth_table, self.variance_table]
-        flat += [trimmed(along, self.taps_along), trimmed(across, self.taps_across)]  # type: ignore[arg-type]
-        tables = [*steep, *flat]
-        every = torch.cat([table.float().flatten(1) for table in tables], 1)
-        nodes = rows_at(every, index + torch.arange(2, device=index.device))
-        weights = torch.stack([share, held]) * every.new_tensor([-1.0, 1.0]) + every.new_tensor([1.0, 0.0])
-        sizes = [table[0].numel() for table in tables]
-        parts = parts_of((weights @ nodes).reshape(1, -1), [*sizes, *sizes], 1)
-        taken = [*parts[: len(steep)], *parts[len(tables) + len(steep) :]]
-        bounds, outline, speed, depth, variance, along, across = (
-            part if table.ndim == 2 else part.reshape(1, *table.shape[1:])
-            for table, part in zip(tables, taken, strict=True)
+        given = (self.tails_at_cut, self.outline, self.speed, self.depth_table, self.variance_table)
+        bounds, outline, speed, depth, variance = (cast(Tensor, one).float() for one in given)
+        along, across = cast(Tensor, self.along_table), cast(Tensor, self.across_table)
+        steep = [bounds, _steps(bounds), outline, speed, _next(outline), _next(speed)]
+        flat = [depth, variance, _steps(depth), _steps(variance)]
+        flat += [trimmed(along, self.taps_along), trimmed(across, self.taps_across)]
+        sizes = [table[0].numel() for table in (*steep, *flat)]
+        every = torch.cat([table.float().flatten(1) for table in (*steep, *flat)], 1)
+        # Beyond the ends the steep tables go on, and the flat ones are held.
+        least = every.new_tensor([-math.inf] * sum(sizes[: len(steep)]) + [0.0] * sum(sizes[len(steep) :]))
+        low, high = rows_at(every, index), rows_at(every, index + 1)
+        row = low + torch.maximum(share, least) * (high - low)
+        cuts, levels, nodes = sizes[0], 4 * sizes[2], 4 * sizes[6]
+        at, step, level, foot, *kernels = parts_of(row, [cuts, cuts, levels, nodes, *sizes[-2:]], 1)
+        by_level = torch.exp(level).view(4, -1)
+        linear = foot * (amount if count is None else amount * count.to(amount.dtype))
+        each = linear.view(4, 1, -1)
+        along, across = (one.view(1, len(self.haze_shells), -1) for one in kernels)
+        return AtRate(
+            at.view(1, *bounds.shape[1:]),
+            by_level[:1],
+            by_level[1:2],
+            each[0],
+            each[1],
+            along,
+            across,
+            falls,
+            count,
+            at_once=_AtOnce((at, step), by_level, linear),
         )
-        if count is not None:
-            amount = amount * count.to(amount.dtype)
-        linear = depth * amount, variance * amount
-        return AtRate(bounds, torch.exp(outline), torch.exp(speed), *linear, along, across, falls, count)
 
     # ---- listed particles --------------------------------------------------------------------------------------
 
@@ -401,7 +428,8 @@ class Population(nn.Module):
                     yield self._marks(state, part, tables, None)
 
     def _every_point(self, state: CameraState, noise: Mapping[str, Tensor], shells: Sequence[int]) -> _Points:
-        """All slots of some shells, as a graph has them: ``(5, P)``, the number of the shell last.
+        """All slots of neighbouring shells, as a graph has them, ``(4, P)``; an absent one of its own level between
+        two shells.
 
         Raises:
             InputValueError: there are several samples.
@@ -410,11 +438,11 @@ class Population(nn.Module):
             raise InputValueError(
                 f"ParticleVeil: a graph holds one sample; got a batch of {state.batch}. Export with a batch of 1."
             )
-        names = [f"{self.weather.kind}_shell_{number}" for number in shells]
-        # The shell's number is a column more.
-        each = [pad(noise[name], (0, 1), value=float(n)) for name, n in zip(names, shells, strict=True)]
-        points = torch.cat(each, 1).reshape(-1, COLUMNS + 1).to(state.image.signal.device)
-        return _Points(rows_as_columns(points), None, 0)
+        each = [noise[f"{self.weather.kind}_shell_{number}"] for number in shells]
+        between = torch.full((1, 1, COLUMNS), BETWEEN_SHELLS, device=each[0].device)
+        points = torch.cat([each[0], *(one for later in each[1:] for one in (between, later))], 1)
+        points = points.reshape(-1, COLUMNS).to(state.image.signal.device)
+        return _Points(rows_as_columns(points), None, shells[0])
 
     def _points_of(
         self,
@@ -522,8 +550,8 @@ class Population(nn.Module):
             shell = shell.index_select(0, some) if isinstance(shell, Tensor) else shell
         if is_exporting():
             # What is one number a point is (1, P).
-            drawn_u, drawn_v, drawn_depth, drawn_level, shell = parts_of(points, (1,) * (COLUMNS + 1))
-            shell = shell.long()
+            drawn_u, drawn_v, drawn_depth, drawn_level = parts_of(points, (1,) * COLUMNS)
+            shell = torch.cumsum((drawn_level > ABSENT).long(), 1) + shell if len(self.tables.listed) > 1 else shell
         else:
             drawn_u, drawn_v, drawn_depth, drawn_level = points.T.contiguous()
         # A level below the cut's is a particle at this rate.
@@ -534,7 +562,7 @@ class Population(nn.Module):
         nodes = quantiles.shape[-1]
         cell, share = _cell(drawn_depth * (nodes - 1), nodes)
         left_out = False  # what is not shown, in a graph
-        if isinstance(shell, Tensor) and is_exporting():
+        if is_exporting():
             cut_level, most_level, foot, *reach = self._of_shells(tables, cell, share, shell)
         elif isinstance(shell, Tensor):
             cut_level = _read(_row_of(tables.bounds, _whole(sample)), cell, share, shell)
@@ -547,10 +575,12 @@ class Population(nn.Module):
             shown = (drawn_level < ABSENT) & (log_level < cut_level)
             if is_exporting():
                 if tables.banks is None:
-                    shown = shown & self._in_range(foot * focal) & tables.falls
+                    depth_m = foot * focal
+                    shown = shown & self._in_range(depth_m) & tables.falls
                     left_out = True
-                    columns = columns_at(torch.cat([drawn_u, drawn_v, log_level, foot, *reach]), _places(shown))
-                    drawn_u, drawn_v, log_level, foot, *reach = parts_of(columns, (1,) * (4 + len(reach)))
+                    every = torch.cat([drawn_u, drawn_v, log_level, foot, depth_m, *reach])
+                    columns = parts_of(columns_at(every, _places(shown)), (1,) * (5 + len(reach)))
+                    drawn_u, drawn_v, log_level, foot, depth_m, *reach = columns
             else:
                 seen = shown.nonzero().squeeze(1)
                 drawn_u, drawn_v, cell, share, log_level, cut_level, shown = (
@@ -563,7 +593,8 @@ class Population(nn.Module):
             reach = [2 * reach_u, reach_u + 0.5, 2 * reach_v, reach_v + 0.5]
         u = drawn_u * (width + reach[0]) - reach[1]
         v = drawn_v * (height + reach[2]) - reach[3]
-        depth_m = foot * _own(focal, sample)
+        if not left_out:
+            depth_m = foot * _own(focal, sample)
         stays = state.air.path_tangent is None and state.receiver.row_time_s is None
         if blocks is not None and stays and not self.camera.distorted:
             hidden = depth_m >= blocks.at(None, u, v)[1]
@@ -599,8 +630,12 @@ class Population(nn.Module):
         if not left_out:
             shown = shown & _own(tables.falls, sample)
         stop, above = _cell((log_level - t.log_level_low) / t.log_level_step, tables.outline_m.shape[1])
-        outline_m = _read(tables.outline_m, stop, above, sample)
-        speed = _read(tables.fall_speed, stop, above, sample)
+        if tables.at_once is not None:
+            here, further = parts_of(columns_at(tables.at_once.by_level, stop), (2, 2))
+            outline_m, speed = parts_of(here + above * (further - here), (1, 1))
+        else:
+            outline_m = _read(tables.outline_m, stop, above, sample)
+            speed = _read(tables.fall_speed, stop, above, sample)
         diameter = outline_m / foot * torch.sqrt(enlarged)
         if self.vertical and not part.slanted:
             motion_u, motion_v = None, speed * (self.optics.exposure_s * own[..., 1] / focal_of) / foot
@@ -625,7 +660,7 @@ class Population(nn.Module):
         """True where a depth is one of the particles'."""
         return depth_m.clamp(self.near_m, self.far_m) == depth_m
 
-    def _of_shells(self, tables: AtRate, cell: Tensor, share: Tensor, shell: Tensor) -> list[Tensor]:
+    def _of_shells(self, tables: AtRate, cell: Tensor, share: Tensor, shell: Tensor | int) -> list[Tensor]:
         """Level of the cut, highest level, footprint, twice the reach and half a pixel more than the reach, of each
         point ``(1, P)`` of a graph, each as shaped; the reach along both axes."""
         quantiles: Tensor = self.footprints  # type: ignore[assignment]
@@ -633,11 +668,13 @@ class Population(nn.Module):
         nodes = quantiles.shape[-1]
         reaches = self._reaches(quantiles.float())
         widened = [value[:, None].expand(-1, nodes) for each in reaches for value in (2 * each, each + 0.5)]
-        fixed = torch.stack([most.float(), quantiles.float(), *widened]).flatten(1)
-        table = torch.cat([tables.bounds.reshape(1, -1), fixed])
-        at = shell * nodes + cell
-        low, high = columns_at(table, at), columns_at(table, at + 1)
-        return parts_of(low + share * (high - low), (1,) * len(table))
+        fixed = torch.stack([most.float(), quantiles.float()])
+        further = torch.stack([*_steps(fixed), *widened]).flatten(1)
+        assert tables.at_once is not None
+        at, step = tables.at_once.bounds
+        table = torch.cat([at, fixed.flatten(1), step, further])
+        low, rise, *reach = parts_of(columns_at(table, shell * nodes + cell), (3, 3, *(1,) * len(widened)))
+        return [*parts_of(low + share * rise, (1, 1, 1)), *reach]
 
     def _reaches(self, like: Tensor) -> tuple[Tensor, Tensor]:
         """``reach_px`` of every shell, ``(shells,)`` each."""
@@ -841,6 +878,16 @@ def trimmed(table: Tensor, taps: tuple[int, ...]) -> Tensor:
     own = table[..., middle - most : middle + most + 1]
     counts = np.abs(np.arange(-most, most + 1)) <= np.array(taps)[:, None]
     return own * torch.from_numpy(counts.astype(np.float32)).to(own)
+
+
+def _steps(table: Tensor) -> Tensor:
+    """From each node of a table ``(..., nodes)`` to the next; 0 at the last one."""
+    return pad(table[..., 1:] - table[..., :-1], (0, 1))
+
+
+def _next(table: Tensor) -> Tensor:
+    """A table ``(..., nodes)`` one node further; the last one twice."""
+    return torch.cat([table[..., 1:], table[..., -1:]], -1)
 
 
 def mark_growth(x: Tensor, y: Tensor) -> Tensor:

@@ -20,7 +20,15 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.particles.depth_blocks import BLOCK_PX, DepthBlocks
-from torchweather.pipeline.graph_operations import columns_as_rows, parts_of, rows_as_columns, rows_at
+from torchweather.pipeline.graph_operations import (
+    last_row_and_column,
+    parts_of,
+    rows_as_columns,
+    rows_at,
+    sums_before,
+    sums_of_rows,
+    weighted_sum,
+)
 from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["Marks", "add_listed", "add_pairs"]
@@ -233,83 +241,151 @@ def add_pairs(
 ) -> tuple[Tensor, Tensor | None]:
     """``add_listed`` by one list of all (mark, pixel) pairs, which a graph holds as few operations.
 
-    Nothing but the length of the list depends on a value. The arguments are those of ``add_listed``, but one row each,
-    ``(1, ...)``, of which onnxruntime takes numbers fast; the sums are new tensors.
+    Nothing but the length of the list depends on a value: every mark has a pair at least, of no coverage where it is
+    beyond the image. The arguments are those of ``add_listed``, but one row each, ``(1, ...)``, of which onnxruntime
+    takes numbers fast; the sums are new tensors.
     """
-    height, width = size
     frame = _frame(marks)
-    first, end, end_aside = frame.first_major.clamp_min(0.0), height - 1.0, width - 1.0
-    beyond = torch.floor(frame.major + 0.5 * (frame.length + frame.chord_most) + 1.5)  # the row after the last one
-    if frame.slope is None or frame.steep is None:
-        beyond = beyond.clamp_max(end + 1.0)
-        columns = torch.floor(frame.minor + 0.5 * frame.across + 1.5) - frame.first_minor
-    else:
-        beyond = torch.minimum(beyond, torch.where(frame.steep, end, end_aside) + 1.0)
-        columns = torch.floor(frame.across) + 2
-    rows = torch.where(frame.area > 0, beyond - first, 0.0).clamp_min(0.0)
-    number = (rows * columns).long()
-    start = torch.cumsum(number, 1) - number
+    first, spans, ends = _extent(frame, size)
+    number = spans.prod(0).long()
+    if marks.opacity.ndim == marks.u_px.ndim:  # else all marks are there
+        number = torch.where(frame.area[0] > 0, number, 1)
+    # A mark's pairs are counted from its last one down to 0.
+    last_pair = torch.cumsum(number, 0) - 1
     pairs: int = number.sum().item()  # type: ignore[assignment]  # int() would fix the number in a graph
     if is_exporting():
         torch._check(pairs >= 0)  # type: ignore[no-untyped-call]
-    # Marks that begin up to a pair, less one, are the pair's mark.
-    begun = torch.zeros(1, pairs + 1, device=start.device, dtype=start.dtype)
-    begun = begun.scatter_add(1, start, torch.ones_like(start))
-    mark = torch.cumsum(begun[:, :pairs], 1) - 1
-    own, columns, down = _of_pairs(frame, columns, first, mark)
-    place = (torch.arange(pairs, device=mark.device) - start.gather(1, mark)).to(columns.dtype)
-    row = torch.floor((place + 0.5) / columns)
-    down, column = down + row, place - row * columns
-    offset = down - own.major
-    minor, first_minor = own.minor, own.first_minor
-    if own.slope is not None:
-        minor = minor + own.slope * offset
-        first_minor = torch.floor(minor - 0.5 * own.across + 0.5)
-    aside = first_minor + column
-    # Two edges of the pixel along and aside, (2, pairs).
-    edges = torch.tensor([[-0.5], [0.5]], device=mark.device)
-    side, reach = (aside - minor) + edges, 0.5 * own.across
-    share = _between(_chord_series((side / reach).clamp(-1.0, 1.0)))
-    chord = _chord_of_columns(own, share, _between(torch.maximum(torch.minimum(side, reach), -reach)))
-    along = _between(_rising(offset + edges, own.length, chord)) / (2 * own.length * chord)
-    coverage = own.area * share * along
-    if own.steep is None:
-        inside = aside.clamp(0.0, end_aside) == aside
+    ended = torch.zeros(pairs, device=number.device, dtype=number.dtype).scatter(0, last_pair, number.sign())
+    mark = sums_before(ended)
+    own = _of_pairs(frame, first, spans, mark)
+    place = (rows_at(last_pair, mark) - torch.arange(pairs, device=mark.device)).to(own["columns"].dtype)
+    row = torch.floor((place + 0.5) / own["columns"])
+    column = place - row * own["columns"]
+    down, inside = own["first_major"] + row, None
+    if frame.slope is None or frame.steep is None:
+        aside, side = own["first_minor"] + column, own["side"] + column
     else:
-        inside = (aside >= 0) & (aside <= torch.where(own.steep, end_aside, end))
-    if own.steep is not None:
-        down, aside = torch.where(own.steep, down, aside), torch.where(own.steep, aside, down)
-    pixel = torch.where(inside, down.long() * width + aside.long(), 0)
-    if own.sample is not None:
-        pixel = pixel + own.sample * (height * width)
-    seen = inside & (own.depth_m < depth_m.gather(1, pixel))
+        minor = own["minor"] + own["slope"] * (own["offset"] + row)
+        aside = torch.floor(minor - own["reach"] + 0.5) + column
+        side = aside - minor + torch.tensor([[-0.5], [0.5]], device=mark.device)
+        steep = own["steep"] > 0.5
+        inside = (aside >= 0) & (aside <= torch.where(steep, ends[1], ends[0]))
+        down, aside = torch.where(steep, down, aside), torch.where(steep, aside, down)
+    # At two edges of the pixel along and aside, (2, pairs).
+    radii = (side / own["reach"]).clamp(-1.0, 1.0)
+    share, covered = _between(_chord_series(radii)), own["reach"] * _between(radii)
+    # The disk's area in a column over the column's covered breadth; of a narrow mark, whose chord is not less than its
+    # largest one, one for all columns.
+    mean = own["disk"] * share / covered.clamp_min(1e-3)
+    chord = torch.minimum(torch.maximum(mean, own["chord_least"]), own["chord_most"])
+    coverage = own["area_per_length"] * share * _along(row, own["offset"], own["length"], chord) / chord
+    pixel = down.long() * size[1] + aside.long()
+    if inside is not None:
+        pixel = torch.where(inside, pixel, 0)
+    if frame.sample is not None:
+        pixel = pixel + frame.sample.gather(1, mark[None]) * (size[0] * size[1])
+    seen = own["depth_m"] < depth_m.gather(1, pixel)
+    if inside is not None:
+        seen = seen & inside
     optical = -torch.log(1.0 - torch.where(seen, coverage, 0.0).clamp(0.0, FULL))  # ONNX has no log1p
     total = total.scatter_add(1, pixel, optical)
-    if faded is not None and own.clearness is not None:
-        faded = faded.scatter_add(1, pixel, optical * own.clearness)
+    if faded is not None and "clearness" in own:
+        faded = faded.scatter_add(1, pixel, optical * own["clearness"])
     return total, faded
 
 
-def _of_pairs(frame: _Frame, columns: Tensor, first: Tensor, mark: Tensor) -> tuple[_Frame, Tensor, Tensor]:
-    """Marks, number of columns and first row of each pair, from those of the marks, all ``(1, n)``; one lookup.
+def _extent(frame: _Frame, size: tuple[int, int]) -> tuple[Tensor, Tensor, Tensor]:
+    """First row and column of each mark inside the image, and how many it has of both, ``(2, P)`` each.
+
+    Of leaning marks along their major axis, and aside of it, where the first one differs from row to row and is 0 here.
+
+    Returns:
+        First, number, and the numbers of the image's last row and column, ``(2, 1)``.
+    """
+    ends = last_row_and_column(size, frame.major)
+    middle = {"major": frame.major, "minor": frame.minor, "across": frame.across}
+    long = {"length": frame.length, "chord": frame.chord_most}
+    first_row = {"major": 1.0, "length": -0.5, "chord": -0.5, "": 0.5}
+    last_row = {"major": 1.0, "length": 0.5, "chord": 0.5, "": 0.5}
+    if frame.slope is None or frame.steep is None:
+        first_column = {"minor": 1.0, "across": -0.5, "": 0.5}
+        last_column = {"minor": 1.0, "across": 0.5, "": 0.5}
+        edges = sums_of_rows(middle | long, [first_row, first_column, last_row, last_column])
+        first, last = (torch.minimum(one, ends) for one in parts_of(torch.floor(edges).clamp_min(0.0), (2, 2)))
+        return first, last - first + 1.0, ends
+    edges = torch.floor(sums_of_rows({"major": frame.major} | long, [first_row, last_row])).clamp_min(0.0)
+    first, last = parts_of(torch.minimum(edges, torch.where(frame.steep, ends[0], ends[1])), (1, 1))
+    columns = torch.floor(frame.across) + 2
+    return torch.cat([first, torch.zeros_like(first)]), torch.cat([last - first + 1.0, columns]), ends
+
+
+def _of_pairs(frame: _Frame, first: Tensor, spans: Tensor, mark: Tensor) -> dict[str, Tensor]:
+    """Numbers of each pair's mark, ``(1, pairs)``, and ``side``, ``(2, pairs)``; one lookup.
 
     Args:
         frame: the marks.
-        columns, first: of each mark.
+        first, spans: first row and column, and number of both, of each mark.
         mark: of each pair.
     """
-    present = {field.name: getattr(frame, field.name) for field in fields(frame)}
-    names = [name for name, value in present.items() if value is not None and name not in ("sample", "first_major")]
-    values = [*(present[name] for name in names), columns, first]
-    every = torch.cat([value.to(first.dtype) for value in values])
-    of_pairs = rows_as_columns(rows_at(columns_as_rows(every), mark[0]))
-    *found, own_columns, own_first = parts_of(of_pairs, (1,) * len(values))
-    own: dict[str, Any] = dict(zip(names, found, strict=True))
-    if "steep" in own:
-        own["steep"] = own["steep"] > 0.5
-    if frame.sample is not None:
-        own["sample"] = frame.sample.gather(1, mark)
-    return replace(frame, **own), own_columns, own_first
+    wide = frame.width > WIDE_PX
+    given = {
+        "first": first,
+        "spans": spans,
+        "major": frame.major,
+        "minor": frame.minor,
+        "length": frame.length,
+        "across": frame.across,
+        "chord_least": torch.where(wide, SMALLEST_PX, frame.chord),
+        "chord_most": frame.chord_most,
+        "disk": frame.width.square() if frame.slope is None else frame.width * frame.across,
+        "area_per_length": frame.area / frame.length,
+        "depth_m": frame.depth_m,
+    }
+    side = {"first.1": 1.0, "minor": -1.0}
+    wanted: dict[str, list[dict[str, float]]] = {
+        "first_major": [{"first.0": 1.0}],
+        "columns": [{"spans.1": 1.0}],
+        "offset": [{"first.0": 1.0, "major": -1.0}],
+        "length": [{"length": 1.0}],
+        "reach": [{"across": 0.5}],
+        "chord_least": [{"chord_least": 1.0}],
+        "chord_most": [{"chord_most": 1.0}],
+        "disk": [{"disk": MEAN_CHORD}],
+        "area_per_length": [{"area_per_length": 0.5}],
+        "depth_m": [{"depth_m": 1.0}],
+    }
+    if frame.slope is None or frame.steep is None:
+        wanted |= {"first_minor": [{"first.1": 1.0}], "side": [side | {"": -0.5}, side | {"": 0.5}]}
+    else:
+        given |= {"slope": frame.slope, "steep": frame.steep.to(first.dtype)}
+        wanted |= {name: [{name: 1.0}] for name in ("minor", "slope", "steep")}
+    if frame.clearness is not None:
+        given["clearness"] = frame.clearness
+        wanted["clearness"] = [{"clearness": 1.0}]
+    every = sums_of_rows(given, [one for sums in wanted.values() for one in sums], as_columns=True)
+    found = parts_of(rows_as_columns(rows_at(every, mark)), [len(sums) for sums in wanted.values()])
+    return dict(zip(wanted, found, strict=True))
+
+
+def _along(row: Tensor, offset: Tensor, length: Tensor, chord: Tensor) -> Tensor:
+    """Share of a path in a row, times twice its lengths: the trapezoid between the edges of the row.
+
+    Args:
+        row: number of the row within the mark, ``(1, pairs)``.
+        offset: of the mark's first row from the path's centre.
+        length, chord: of the path and of the box convolved with it.
+    """
+    if not is_exporting():
+        edges = torch.tensor([[-0.5], [0.5]], device=row.device)
+        return _between(_rising(offset + row + edges, length, chord))
+    # The distribution function of a trapezoid is a sum of squared ramps that begin at its four corners.
+    rows = {"row": row, "offset": offset, "length": length, "chord": chord}
+    ramps, signs = [], []
+    for edge, one in ((-0.5, -1.0), (0.5, 1.0)):
+        for by_length, by_chord in ((0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)):
+            ramps.append({"row": 1.0, "offset": 1.0, "length": by_length, "chord": by_chord, "": edge})
+            signs.append(one * math.copysign(1.0, by_length * by_chord))
+    return weighted_sum(sums_of_rows(rows, ramps).clamp_min(0.0).square(), signs)
 
 
 def _rising(offset: Tensor, length: Tensor, chord: Tensor) -> Tensor:
@@ -322,8 +398,7 @@ def _rising(offset: Tensor, length: Tensor, chord: Tensor) -> Tensor:
 
 def _between(edges: Tensor) -> Tensor:
     """Share between two edges, of a distribution function at them, ``(2, pairs)``."""
-    low, high = parts_of(edges, (1, 1))
-    return high - low
+    return weighted_sum(edges, [-1.0, 1.0])
 
 
 def add_listed(
