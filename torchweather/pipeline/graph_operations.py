@@ -135,12 +135,12 @@ def sums_of_rows(
     if _is_writing:
         table = torch.cat(list(rows.values()))
         weights = np.array([[one.get(name, 0.0) for name in names] for one in sums], np.float32)
-        constants = torch.from_numpy(np.array([[one.get("", 0.0)] for one in sums], np.float32))
+        constants = torch.from_numpy(np.array([[one.get("", 0.0)] for one in sums], np.float32)).to(table)
         if as_columns:
-            shape, turned = (table.shape[1], len(sums)), torch.from_numpy(weights.T.copy())
+            shape, turned = (table.shape[1], len(sums)), torch.from_numpy(weights.T.copy()).to(table)
             return _node("Gemm", [table, turned, constants.flatten()], shape, table.dtype, transA=1)
         shape = (len(sums), table.shape[1])
-        return _node("Gemm", [torch.from_numpy(weights), table, constants], shape, table.dtype)
+        return _node("Gemm", [torch.from_numpy(weights).to(table), table, constants], shape, table.dtype)
     # Not by a product of matrices, which a GPU may round to 10 bits.
     each = dict(zip(names, (row for table in rows.values() for row in table.split(1)), strict=True))  # type: ignore[no-untyped-call]
     found = torch.cat([_sum([(weight, each[name]) for name, weight in one.items() if name]) for one in sums])
@@ -158,8 +158,11 @@ def weighted_sum(table: Tensor, weights: Sequence[float]) -> Tensor:
 
 
 def _sum(terms: Sequence[tuple[float, Tensor]]) -> Tensor:
-    first, *others = (one if weight == 1 else weight * one for weight, one in terms)
-    return sum(others, first)
+    (weight, one), *others = terms
+    total = one if weight == 1 else weight * one
+    for weight, one in others:
+        total = torch.add(total, one, alpha=weight)
+    return total
 
 
 def sums_before(values: Tensor) -> Tensor:
