@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -27,17 +28,17 @@ class Sample:
 
     scores: tuple[float, ...]
 
-    @property
+    @cached_property
     def there(self) -> tuple[float, ...]:
         """Those that are numbers."""
         return tuple(score for score in self.scores if not math.isnan(score))
 
-    @property
+    @cached_property
     def mean(self) -> float:
         """Infinite where one is; not a number where none is."""
         return float(np.mean(self.there)) if self.there else math.nan
 
-    @property
+    @cached_property
     def standard_error(self) -> float:
         """Of the mean, from the scatter between frames; not a number below two frames or where the mean is infinite."""
         if len(self.there) < 2 or not math.isfinite(self.mean):
@@ -63,7 +64,7 @@ class Shift:
     recorded: Sample
     changed: Sample
 
-    @property
+    @cached_property
     def mean(self) -> float:
         """Change of the score; infinite where all changed scores are and no recorded one is; else not a number."""
         finite = [
@@ -76,13 +77,13 @@ class Shift:
         kinds = [{math.isinf(score) for score in each.there} for each in (self.recorded, self.changed)]
         return math.inf if kinds in ([{True}, {False}], [{False}, {True}]) else math.nan
 
-    @property
+    @cached_property
     def standard_deviation(self) -> float:
         """Between changed frames; not a number below two finite ones."""
         finite = [score for score in self.changed.scores if math.isfinite(score)]
         return float(np.std(finite, ddof=1)) if len(finite) > 1 else math.nan
 
-    @property
+    @cached_property
     def paired_deviation(self) -> float:
         """Of the change, between pairs."""
         pairs = zip(self.recorded.scores, self.changed.scores, strict=True)
@@ -124,26 +125,26 @@ class Comparison:
             return 0.0
         return self.simulated.mean - self.measured.mean
 
-    @property
+    @cached_property
     def error(self) -> float:
         """Standard error of the gap.
 
         Of the differences where paired; else of both means together, and of the floor's, because the clear frames
         that measured and simulated frames are held against, or start from, are few themselves.
         """
-        return _combined(self._parts())[0]
+        return _combined(self._parts)[0]
 
-    @property
+    @cached_property
     def bound(self) -> float:
         """Standard errors that chance alone exceeds with the probability ``level``: Student's t, two-sided."""
-        return self._bound(self._parts())
+        return self._bound(self._parts)
 
-    @property
+    @cached_property
     def in_errors(self) -> float:
         """Gap over its standard error; infinite where nothing scatters and the means differ."""
         return _ratio(self.gap, self.error)
 
-    @property
+    @cached_property
     def verdict(self) -> str:
         """``agrees``, ``differs``, ``not decided``, or ``unjudged`` where frames are too few or some scores infinite.
 
@@ -186,10 +187,9 @@ class Comparison:
 
     def _flagged(self, shift: float, error: float, freedom: float) -> float:
         """Probability that a change of the score is called a difference."""
-        bound = float(stats.t.isf(self.level / 2, freedom)) if math.isfinite(freedom) else math.nan
-        return detection_probability(shift, error, bound, freedom)
+        return detection_probability(shift, error, _bound(self.level, freedom), freedom)
 
-    @property
+    @cached_property
     def smallest_change(self) -> tuple[float, float] | None:
         """Factors below and above 1 nearest to it that the frames would have flagged with 80 % power.
 
@@ -232,7 +232,7 @@ class Comparison:
                 shift, deviation = (float(np.interp(x, ends[0], column)) for column in ends[1:])
             # Between a finite score and an infinite one there is nothing to interpolate.
             shift = shift if math.isfinite(shift) else math.nan
-        own = self._parts()
+        own = self._parts
         if self.paired:
             count = own[0][1] + 1
             parts = [(deviation / math.sqrt(count) if count > 1 else math.nan, count - 1)]
@@ -273,6 +273,7 @@ class Comparison:
         effect = self.measured.mean - self.floor.mean
         return self.gap / effect if effect and math.isfinite(effect) else math.nan
 
+    @cached_property
     def _parts(self) -> list[tuple[float, int]]:
         if not self.paired:
             found = [_part(self.measured), _part(self.simulated)]
@@ -282,8 +283,7 @@ class Comparison:
         return [_part(Sample(tuple(simulated - measured for simulated, measured in pairs)))]
 
     def _bound(self, parts: list[tuple[float, int]]) -> float:
-        freedom = _combined(parts)[1]
-        return float(stats.t.isf(self.level / 2, freedom)) if math.isfinite(freedom) else math.nan
+        return _bound(self.level, _combined(parts)[1])
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
@@ -341,6 +341,12 @@ def judged(comparisons: list[Comparison]) -> list[Comparison]:
 def _deviation(scores: tuple[float, ...]) -> float:
     there = Sample(scores).there
     return float(np.std(there, ddof=1)) if len(there) > 1 and all(map(math.isfinite, there)) else math.nan
+
+
+@lru_cache(maxsize=4096)
+def _bound(level: float, freedom: float) -> float:
+    """Standard errors that chance alone exceeds with a probability: Student's t, two-sided."""
+    return float(stats.t.isf(level / 2, freedom)) if math.isfinite(freedom) else math.nan
 
 
 def _part(sample: Sample) -> tuple[float, int]:
