@@ -80,12 +80,12 @@ def _all(value: Any, holds: Any) -> bool:
         number = float(value)
     except OverflowError:  # a whole number of more digits than float64 has, which nothing can compute with
         return False
-    return bool(holds(torch.tensor(number, dtype=torch.float64)))
+    return bool(holds(number))
 
 
 def check_finite(name: str, value: Any, *, unit: str = "", owner: object) -> None:
     """Raise `InputValueError` unless ``value`` (a number or a tensor) is finite."""
-    if not _all(value, torch.isfinite):
+    if not _all(value, lambda v: v.isfinite() if isinstance(v, Tensor) else math.isfinite(v)):
         raise InputValueError(f"{owner_name(owner)}: {name} must be a finite number{_in(unit)}; got {_shown(value)}.")
 
 
