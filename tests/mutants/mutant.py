@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -42,12 +43,18 @@ class Mutant:
         return source.replace(self.old, self.new)
 
 
+@cache
+def _parsed(file: Path) -> list[ast.stmt]:
+    """Statements of a file of tests, which many mutants name."""
+    return ast.parse(file.read_text(encoding="utf-8")).body
+
+
 def missing_test(node: str, root: Path = ROOT) -> str | None:
     """Complaint about a node id whose file, class or function does not exist; None where all do."""
     file, *names = node.split("[")[0].split("::")
     if not (root / file).is_file():
         return f"no file {file}"
-    body: list[ast.stmt] = ast.parse((root / file).read_text(encoding="utf-8")).body
+    body = _parsed(root / file)
     for name in names:
         found = next((part for part in body if getattr(part, "name", None) == name), None)
         if found is None:
