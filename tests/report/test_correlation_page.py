@@ -43,6 +43,7 @@ def text_of(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", page.split("</style>")[1])).split())
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_folder_holds_page_numbers_and_conditions(tmp_path: Path) -> None:
     result = found()
     summary = write_correlation(tmp_path / "out", result, performance="AP", notes=("A detector.",))
@@ -58,6 +59,7 @@ def test_the_folder_holds_page_numbers_and_conditions(tmp_path: Path) -> None:
     assert list(table)[:2] == ["weather", "value"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_says_what_was_found_beside_the_claim(tmp_path: Path) -> None:
     result = found()
     write_correlation(tmp_path, result, performance="AP", notes=("A detector.",))
@@ -106,6 +108,7 @@ def test_scores_without_weather_or_claim_have_a_page_too(tmp_path: Path) -> None
     assert "No score has a coefficient" in text_of((tmp_path / "index.html").read_text(encoding="utf-8"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_names_are_escaped(tmp_path: Path) -> None:
     write_correlation(tmp_path, correlate({"<b>x": [1, 2, 3, 5]}, [1, 2, 3, 4]), performance="<i>AP")
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
@@ -119,6 +122,7 @@ def test_the_same_numbers_give_the_same_page(tmp_path: Path) -> None:
     assert (tmp_path / "a" / "index.html").read_bytes() == (tmp_path / "b" / "index.html").read_bytes()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_nothing_is_left_of_a_page_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: Any, **__: Any) -> str:
         raise RuntimeError("no page")

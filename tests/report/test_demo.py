@@ -147,6 +147,7 @@ def test_an_unreadable_image_leaves_the_old_page_as_it_was(tmp_path: Path) -> No
     assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.png", "out"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_failure_half_way_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object, **__: object) -> str:
         raise RuntimeError("disk on fire")

@@ -139,6 +139,7 @@ def test_what_tells_rivals_apart_is_the_catalogue_s(pages: dict[str, Path]) -> N
     assert f"wet target explains less, by its response alone {between}" in words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_search_of_some_effects_says_so_and_excludes_no_other(study: Study, tmp_path: Path) -> None:
     names = ["lidar.window_loss", "lidar.threshold_shift"]
     write_gap(tmp_path / "out", study, report("named", study), effects=names)
@@ -148,6 +149,7 @@ def test_a_search_of_some_effects_says_so_and_excludes_no_other(study: Study, tm
     assert "threshold shift fits worse" in words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_ignored_parts_are_listed(study: Study, tmp_path: Path) -> None:
     found = report("named", study)
     write_gap(tmp_path / "out", study, replace(found, answer={**found.answer, "ignored_parts": ["s0:0,32"]}))
@@ -155,6 +157,7 @@ def test_ignored_parts_are_listed(study: Study, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("reached", [False, True])
+@pytest.mark.usefixtures("undrawn")
 def test_a_search_that_stopped_at_its_limit_says_so(study: Study, tmp_path: Path, reached: bool) -> None:
     found = report("named", study)
     answer = {**found.answer, "max_frames": {"limit": 12000, "reached": reached}}
@@ -219,6 +222,7 @@ def test_the_same_report_gives_the_same_page(pages: dict[str, Path], study: Stud
     assert (tmp_path / "again" / "report.html").read_bytes() == (pages["named"] / "report.html").read_bytes()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_nothing_is_left_where_writing_fails(study: Study, tmp_path: Path) -> None:
     class Broken(GapReport):
         def write(self, folder: Path) -> None:
@@ -231,6 +235,7 @@ def test_nothing_is_left_where_writing_fails(study: Study, tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_names_of_conditions_are_escaped(study: Study, tmp_path: Path) -> None:
     good = report("named", study)
     curves = tuple(
@@ -263,6 +268,7 @@ def test_what_no_stage_copies_says_why(pages: dict[str, Path]) -> None:
     assert "empirical=True" not in words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_curve_without_a_formula_says_so(study: Study, tmp_path: Path) -> None:
     write_gap(tmp_path / "out", study, report("unknown", study, unknown={**UNKNOWN, "formula": None}))
     assert "Simplest formula none: no constant, line, logarithm," in words_of(tmp_path / "out")
@@ -338,6 +344,7 @@ def test_the_record_s_alarm_stands_beside_the_headline(pages: dict[str, Path]) -
     assert "of its standard deviations)" in words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_record_within_its_uncertainty_is_no_alarm(study: Study, tmp_path: Path) -> None:
     moved = {"rate_factor": 1.0, "by_condition": {one.id: 1.01 for one in study.fit if one.weather is not None}}
     write_gap(tmp_path / "out", study, report("named", study, nuisance=moved))
@@ -373,6 +380,7 @@ def test_an_interval_over_a_whole_turn_is_no_interval() -> None:
     )
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_value_on_its_bound_is_said_in_sentence_table_and_confidence(study: Study, tmp_path: Path) -> None:
     loss = {**WINDOW_LOSS, "parameters": {"loss_db": 30.0}, "interval": {"loss_db": [24.0, 30.0]}}
     loss |= {"at_bound": {"loss_db": "highest"}, "beside_bound": []}

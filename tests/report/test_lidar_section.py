@@ -273,6 +273,7 @@ def test_the_page_says_that_rain_shows_almost_no_drop(page: tuple[Path, dict[str
     assert re.search(rf"{'none' if drops == 0 else drops} of 1.440 beams reports? one \(Rain 50 mm/h\)", said)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_frames_of_a_user_bring_no_lidar(tmp_path: Path) -> None:
     from torchweather.io import write_image
 

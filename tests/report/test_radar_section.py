@@ -263,6 +263,7 @@ def test_the_page_says_that_19_mm_per_h_of_snow_is_beyond_the_fit(page: tuple[Pa
     assert note in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_frames_of_a_user_bring_no_radar(tmp_path: Path) -> None:
     from torchweather.io import write_image
 

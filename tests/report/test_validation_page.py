@@ -94,6 +94,7 @@ def test_the_json_holds_what_was_found(radar: Written) -> None:
     assert len(summary["trends"]) == 3
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_errors_of_the_study_stand_beside_the_verdict(
     radar: Written, short: tuple[Study, Validation], tmp_path: Path
 ) -> None:
@@ -105,6 +106,7 @@ def test_errors_of_the_study_stand_beside_the_verdict(
     assert "cannot be trusted" not in text_of(radar[0])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_self_check_says_that_nothing_was_measured(short: tuple[Study, Validation], tmp_path: Path) -> None:
     study, validation = short
     write_validation(tmp_path / "page", study, validation, self_check=True)
@@ -151,6 +153,7 @@ def test_a_return_in_front_is_told_from_one_that_stayed() -> None:
     assert len({same, jitter, nearer}) == 3
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_failure_leaves_no_file(
     short: tuple[Study, Validation], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
