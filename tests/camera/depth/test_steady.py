@@ -186,7 +186,7 @@ def test_a_highway_drive_does_not_flicker() -> None:
 
     lens = {"k1": -0.2517, "k2": 0.0204, "p1": -0.0004, "k3": -0.0630}
     camera = Camera(width=1280, height=720, fx=1158.6, fy=1155.4, cx=669.2, cy=390.8, height_m=1.3, **lens)
-    images = [frame.rgb for number, frame in enumerate(VideoReader(clip)) if 19 <= number < 26]
+    images = [frame.rgb for number, frame in enumerate(VideoReader(clip)) if 19 <= number < 24]
     scenes = [ScenePrior(near_mask=None).scene(camera, 720, 1280, image=image) for image in images]
     calm = steady(images, scenes, reach=reach_of(25.0))
 

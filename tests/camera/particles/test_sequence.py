@@ -194,12 +194,12 @@ def test_a_drop_in_still_air_falls_at_its_own_speed() -> None:
 
 @lru_cache
 def films(case: str) -> tuple[list[list[int]], Tensor]:
-    """Of six films of 16 frames: the number of drops in each frame, and the variates of those in the last."""
+    """Of four films of 16 frames: the number of drops in each frame, and the variates of those in the last."""
     transform = rain(**CASES[case])
     key = busiest(transform)
     counts: list[list[int]] = []
     last = []
-    for seed in range(6):
+    for seed in range(4):
         counts.append([])
         for noise in transform.draw_sequence(frame(), 16, INTERVAL_S, seed=seed):
             there = listed(noise, key)
@@ -239,7 +239,7 @@ def test_drops_stay_uniform_in_their_slots_over_a_film(case: str) -> None:
 )
 def test_the_mask_of_the_last_frame_is_that_of_a_single_one(make: Any) -> None:
     transform = make(ego_speed_m_per_s=10.0)
-    given, seeds = frame(), 12
+    given, seeds = frame(), 8
     first, last = [], []
     for seed in range(seeds):
         film = list(transform.draw_sequence(given, 8, INTERVAL_S, seed=seed))
