@@ -14,6 +14,7 @@ from tests.recordings import recording
 # Objects between two collections of the youngest, and collections of one generation between two of the next: at
 # Python's 700, 10 and 10 collecting took 4 % of the processor.
 COLLECT_AFTER = (20_000, 20, 20)
+FEW_DPI = 25
 
 
 @pytest.fixture
@@ -40,6 +41,15 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
         Image.new(mode, (round(width), round(height))).save(target, format=format, compress_level=1)
 
     monkeypatch.setattr(Figure, "savefig", blank)
+
+
+@pytest.fixture
+def few_dots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are drawn whole, of few dots: for examples and tutorials whose pictures must be written."""
+    from matplotlib.figure import Figure
+
+    savefig = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda *args, **options: savefig(*args, **{**options, "dpi": FEW_DPI}))
 
 
 def pytest_collectstart() -> None:

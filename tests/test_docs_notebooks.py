@@ -31,6 +31,7 @@ def converter() -> Any:
     return module
 
 
+@pytest.mark.usefixtures("few_dots")
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_a_notebook_runs_and_prints_what_it_says(
     page: Path, converter: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -21,6 +21,7 @@ from torchweather.scenes import lidar_view
 from torchweather.scenes import test_track as track
 
 ROOT = Path(__file__).parents[1]
+pytestmark = pytest.mark.usefixtures("few_dots")
 
 # What each example is called with, and the files that it must write.
 RUNS: dict[str, tuple[list[str], list[str]]] = {
