@@ -264,20 +264,23 @@ def test_overrides_that_do_not_fit_are_named(name: str, overrides: dict[str, Any
 
 
 @pytest.mark.parametrize(
-    "transform",
+    "make",
     [
-        tw.BayerRain(
+        lambda: tw.BayerRain(
             tw.Rain(12.0, wind_m_per_s=(1.0, 0.5, 0.0)), SMALL, depth=30.0, far_m=80.0, ego_speed_m_per_s=13.9
         ),
-        tw.BayerFog(tw.Fog(mor_m=77.0), SMALL, depth=FlatGround(), extinction="koschmieder", airlight=(0.6, 0.7, 0.8)),
-        tw.BayerWeather(
+        lambda: tw.BayerFog(
+            tw.Fog(mor_m=77.0), SMALL, depth=FlatGround(), extinction="koschmieder", airlight=(0.6, 0.7, 0.8)
+        ),
+        lambda: tw.BayerWeather(
             tw.Mixture(tw.Snow(1.5, albedo=0.85), tw.Fog(mor_m=300.0)), SMALL, variant=None, drop_radiance="upper"
         ),
-        tw.AsBayer(tw.BayerFog(tw.Fog(mor_m=50.0), tw.Camera.preset("sekonix-sf3325"))),
+        lambda: tw.AsBayer(tw.BayerFog(tw.Fog(mor_m=50.0), tw.Camera.preset("sekonix-sf3325"))),
     ],
     ids=["rain", "fog", "mixture", "rgb"],
 )
-def test_what_is_saved_of_a_camera_comes_back(transform: Any, tmp_path: Path) -> None:
+def test_what_is_saved_of_a_camera_comes_back(make: Callable[[], Any], tmp_path: Path) -> None:
+    transform = make()
     again = saved(transform, tmp_path)
     assert type(again) is type(transform)
     before, after = (getattr(one, "transform", one) for one in (transform, again))
@@ -295,17 +298,18 @@ def test_a_saved_camera_gives_the_same_pixels(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "transform",
+    "make",
     [
-        tw.LidarRain(tw.Rain(12.0), HDL, q_back=0.6, lost="nan"),
-        tw.LidarFog(tw.Fog(mor_m=77.0), HDL, variant="hahner"),
-        tw.LidarSnow(tw.Snow(1.5), tw.Lidar.preset("pandar64-wads"), complete_scan=True, q_eff=1.5),
-        tw.LidarRain(tw.Rain(12.0), HDL, variant="d3_4"),
-        tw.LidarWeather(tw.Mixture(tw.Snow(1.5), tw.Fog(mor_m=300.0)), HDL, fog_extinction="koschmieder"),
+        lambda: tw.LidarRain(tw.Rain(12.0), HDL, q_back=0.6, lost="nan"),
+        lambda: tw.LidarFog(tw.Fog(mor_m=77.0), HDL, variant="hahner"),
+        lambda: tw.LidarSnow(tw.Snow(1.5), tw.Lidar.preset("pandar64-wads"), complete_scan=True, q_eff=1.5),
+        lambda: tw.LidarRain(tw.Rain(12.0), HDL, variant="d3_4"),
+        lambda: tw.LidarWeather(tw.Mixture(tw.Snow(1.5), tw.Fog(mor_m=300.0)), HDL, fog_extinction="koschmieder"),
     ],
     ids=["rain", "fog", "snow", "d3.4", "mixture"],
 )
-def test_what_is_saved_of_a_lidar_comes_back_and_gives_the_same_cloud(transform: Any, tmp_path: Path) -> None:
+def test_what_is_saved_of_a_lidar_comes_back_and_gives_the_same_cloud(make: Callable[[], Any], tmp_path: Path) -> None:
+    transform = make()
     again = saved(transform, tmp_path)
     assert type(again) is type(transform)
     assert again.sensor == transform.sensor
@@ -317,27 +321,28 @@ def test_what_is_saved_of_a_lidar_comes_back_and_gives_the_same_cloud(transform:
 
 
 @pytest.mark.parametrize(
-    ("transform", "options"),
+    ("make", "options"),
     [
-        (tw.RadarAttenuation(tw.Rain(12.0), AWR), {}),
+        (lambda: tw.RadarAttenuation(tw.Rain(12.0), AWR), {}),
         (
-            tw.RadarAttenuation(tw.Rain(12.0), AWR, radome_loss_db=0.7, lost="nan"),
+            lambda: tw.RadarAttenuation(tw.Rain(12.0), AWR, radome_loss_db=0.7, lost="nan"),
             {"radome_loss_db": 0.7, "lost": "nan"},
         ),
         (
-            tw.RadarAttenuation(tw.Snow(2.0), AWR, clutter=True, clutter_points=9, ego_speed_m_per_s=3.1),
+            lambda: tw.RadarAttenuation(tw.Snow(2.0), AWR, clutter=True, clutter_points=9, ego_speed_m_per_s=3.1),
             {"clutter": True, "clutter_points": 9, "ego_speed_m_per_s": 3.1},
         ),
         (
-            tw.RadarAttenuation(tw.Mixture(tw.Rain(5.0), tw.Fog(mor_m=90.0)), AWR, variant="d3_4"),
+            lambda: tw.RadarAttenuation(tw.Mixture(tw.Rain(5.0), tw.Fog(mor_m=90.0)), AWR, variant="d3_4"),
             {"variant": "d3_4"},
         ),
     ],
     ids=["rain", "radome", "clutter", "d3.4"],
 )
 def test_what_is_saved_of_a_radar_comes_back_and_gives_the_same_points(
-    transform: Any, options: dict[str, object], tmp_path: Path
+    make: Callable[[], Any], options: dict[str, object], tmp_path: Path
 ) -> None:
+    transform = make()
     again = saved(transform, tmp_path)
     assert read_recipe(tmp_path / "mine.yaml", "transform").options == options
     assert (type(again), again.sensor, again.lost) == (tw.RadarAttenuation, transform.sensor, transform.lost)
