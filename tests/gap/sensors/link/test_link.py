@@ -163,6 +163,16 @@ def test_the_parts_of_the_scatter_are_found() -> None:
     assert not np.array_equal(drawn, found.drawn(samples, 6))
 
 
+def test_links_that_are_held_out_are_not_fitted_to() -> None:
+    made = study()
+    model = LinkFrames(made)
+    held, length_km = np.asarray(made.links["split"]) == 1, np.asarray(made.links["length_km"])
+    assert not set(length_km[held]) & set(length_km[~held])  # which tell the links apart
+    for conditions, links in ((model.fit, ~held), (model.holdout, held)):
+        fitted = np.concatenate([model.samples[one.id].length_km for one in conditions])
+        assert set(fitted) == set(length_km[links])
+
+
 def test_sums_are_those_of_the_samples() -> None:
     model = LinkFrames(study())
     condition = model.fit[2]
