@@ -42,9 +42,9 @@ class DepthBlocks:
 
     def at(self, sample: Tensor | None, u_px: Tensor, v_px: Tensor) -> tuple[Tensor, Tensor]:
         """Nearest and farthest depth around image positions ``(P,)``."""
-        row = (v_px * (1 / BLOCK_PX)).clamp(0, self.rows - 1).long()
-        column = (u_px * (1 / BLOCK_PX)).clamp(0, self.columns - 1).long()
-        block = row * self.columns + column
+        row = (v_px * (1 / BLOCK_PX)).clamp(0, self.rows - 1).int()
+        column = (u_px * (1 / BLOCK_PX)).clamp(0, self.columns - 1).int()
+        block = (row * self.columns + column).long()  # float to long takes four times as long as to int
         if sample is not None:
             block = block + sample * (self.rows * self.columns)
         return self.nearest_m.index_select(0, block), self.farthest_m.index_select(0, block)

@@ -25,6 +25,7 @@ from torchweather.camera.sensor import Camera
 from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputValueError, check_at_least, check_between
+from torchweather.core.masks import compare, places_of
 from torchweather.core.random import ABSENT, Variate
 from torchweather.core.threads import side_by_side
 from torchweather.pipeline.graph_operations import columns_at, parts_of, rows_as_columns, rows_at, shaped_as
@@ -463,12 +464,12 @@ class Population(nn.Module):
             points = noise[f"{self.weather.kind}_shell_{number}"][row].to(device)
             self.check_reach(points, number, highest[number], state.sizes)
             # Of a slot that is not used, the level is ABSENT. Displaced copies go on where these levels end.
-            low = points[:, COLUMN_LEVEL] < min(highest[number], 0.5 * (1.0 + ABSENT))
+            low = compare(points[:, COLUMN_LEVEL], "<", min(highest[number], 0.5 * (1.0 + ABSENT)))
             count = int(low.sum())
             if bool(low[:count].all()):  # as drawn: in order of the levels
                 kept.append(points[:count])
             else:
-                kept.append(points.index_select(0, low.nonzero().squeeze(1)))
+                kept.append(points.index_select(0, places_of(low)))
         counts = torch.tensor([len(points) for points in kept], device=device)
         shell = torch.repeat_interleave(torch.tensor(list(shells), device=device), counts)
         every = torch.cat(kept) if kept else torch.zeros(0, COLUMNS, device=device)
@@ -572,7 +573,7 @@ class Population(nn.Module):
             most_level = _read(most.float(), cell, share, shell)
         if not self.camera.distorted:
             log_level = torch.log(level.clamp_min(FLOOR)) + most_level + thinning
-            shown = (drawn_level < ABSENT) & (log_level < cut_level)
+            shown = compare(drawn_level, "<", ABSENT) & compare(log_level, "<", cut_level)
             if is_exporting():
                 if tables.banks is None:
                     depth_m = foot * focal
@@ -582,10 +583,13 @@ class Population(nn.Module):
                     columns = parts_of(columns_at(every, _places(shown)), (1,) * (5 + len(reach)))
                     drawn_u, drawn_v, log_level, foot, depth_m, *reach = columns
             else:
-                seen = shown.nonzero().squeeze(1)
-                drawn_u, drawn_v, cell, share, log_level, cut_level, shown = (
-                    one.index_select(0, seen) for one in (drawn_u, drawn_v, cell, share, log_level, cut_level, shown)
+                seen = places_of(shown)
+                drawn_u, drawn_v, cell, share, log_level = (
+                    one.index_select(0, seen) for one in (drawn_u, drawn_v, cell, share, log_level)
                 )
+                if tables.banks is not None:
+                    cut_level = cut_level.index_select(0, seen)
+                shown = shown.new_ones(len(seen))
                 shell = shell.index_select(0, seen) if isinstance(shell, Tensor) else shell
         if not is_exporting():
             foot = _read(quantiles.float(), cell, share, shell)
@@ -597,13 +601,16 @@ class Population(nn.Module):
             depth_m = foot * _own(focal, sample)
         stays = state.air.path_tangent is None and state.receiver.row_time_s is None
         if blocks is not None and stays and not self.camera.distorted:
-            hidden = depth_m >= blocks.at(None, u, v)[1]
+            hidden = compare(depth_m, ">=", blocks.at(None, u, v)[1])
             small = torch.stack([reach.reshape(-1) for reach in self._reaches(points)]).amax(0) < BLOCK_PX
-            before = (~(hidden & _of_shell(small, shell))).nonzero().squeeze(1)
+            before = places_of(~(hidden & _of_shell(small, shell)))
             if len(before) < 0.9 * len(u):
-                u, v, foot, depth_m, log_level, cut_level, shown = (
-                    one.index_select(0, before) for one in (u, v, foot, depth_m, log_level, cut_level, shown)
+                u, v, foot, depth_m, log_level = (
+                    one.index_select(0, before) for one in (u, v, foot, depth_m, log_level)
                 )
+                shown = shown.new_ones(len(before))
+                if tables.banks is not None:
+                    cut_level = cut_level.index_select(0, before)
         own, focal_of = _own(intrinsics, sample), _own(focal, sample)
         x, y = self.undistorted(u, v, own)
         enlarged = mark_growth(x, y)
@@ -622,7 +629,7 @@ class Population(nn.Module):
         elif is_exporting():
             shown = shown & self._in_range(depth_m)
         else:
-            shown = shown & (depth_m >= self.near_m) & (depth_m <= self.far_m)
+            shown = shown & compare(depth_m, ">=", self.near_m) & compare(depth_m, "<=", self.far_m)
         if state.air.particle_reach_m is not None:
             shown = shown & (depth_m <= _own(state.air.particle_reach_m, sample))
         if part.copy and tables.count is not None:
@@ -942,7 +949,8 @@ def _of_shell(values: Tensor, shell: Tensor | int) -> Tensor:
 
 def _cell(position: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
     cell = position.detach().floor().clamp(0.0, nodes - 2.0)
-    return cell.long(), (position - cell).clamp(0.0, 1.0)
+    whole = cell.long() if is_exporting() else cell.int().long()  # to int first: half of the time
+    return whole, (position - cell).clamp(0.0, 1.0)
 
 
 def _at(values: Tensor, place: Tensor) -> Tensor:

@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from itertools import accumulate
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,6 +22,7 @@ import torch
 from torch import Tensor
 
 from torchweather.camera.particles.depth_blocks import BLOCK_PX, DepthBlocks
+from torchweather.core.masks import compare, places_of
 from torchweather.pipeline.graph_operations import (
     last_row_and_column,
     parts_of,
@@ -52,6 +55,9 @@ KINDS = (
     *((columns, True, True) for columns in WIDE_CLASSES),
 )
 UNSEEN = 0  # kind of a mark that covers no pixel in front of the scene
+# Upright marks inside the image of up to so many rows are handled together with those of as many rows.
+MOST_ROWS = 8
+SORTS = MOST_ROWS + 1  # of each kind: marks of 1, 2, ... rows, and before them those of any number
 MARKS_AT_ONCE = 1 << 18
 STRIPS = 16  # of an image of more pixels than a cache holds
 PIXELS_IN_CACHE = 1 << 19
@@ -432,11 +438,11 @@ def add_listed(
     for start in range(0, len(marks), MARKS_AT_ONCE):
         chunk = marks.take(slice(start, start + MARKS_AT_ONCE))
         frame = _frame(chunk)
-        kind, rows, before = _kinds(chunk, frame, size, blocks)
-        counts = torch.bincount(kind, minlength=len(KINDS) + 1).tolist()
-        order = _order(image.with_strip(kind, chunk))[counts[UNSEEN] :]
+        sort, rows, before = _sorts(chunk, frame, size, blocks)
+        counts = torch.bincount(sort, minlength=SORTS * (len(KINDS) + 1)).tolist()
+        order = _order(image.with_strip(sort, chunk))[counts[UNSEEN] :]
         rows, before = rows.index_select(0, order), before.index_select(0, order)
-        place = (depth_m, image, counts[UNSEEN + 1 :])
+        place = (depth_m, image, counts[SORTS:])
         total, faded = _add_sorted(total, faded, frame.take(order), rows, before, *place)
     return total, faded
 
@@ -456,13 +462,13 @@ class _Pixels:
     width: int
     by_columns: bool = False
 
-    def with_strip(self, kind: Tensor, marks: Marks) -> Tensor:
-        """Kinds, and within each the strips of a large image, so that marks near each other come together."""
+    def with_strip(self, sort: Tensor, marks: Marks) -> Tensor:
+        """Sorts, and within each the strips of a large image, so that marks near each other come together."""
         size, place = (self.width, marks.u_px) if self.by_columns else (self.height, marks.v_px)
         if self.height * self.width <= PIXELS_IN_CACHE:
-            return kind
+            return sort
         strip = (place * (STRIPS / size)).clamp(0, STRIPS - 1).to(torch.int16)
-        return kind * STRIPS + strip
+        return sort * STRIPS + strip
 
     @property
     def down(self) -> int:
@@ -475,13 +481,26 @@ class _Pixels:
         return self.height if self.by_columns else 1
 
 
-def _kinds(
+@lru_cache(maxsize=4)
+def _class_table(bounds: tuple[int, ...]) -> Tensor:
+    """Class of every number of columns, whose bounds ascend."""
+    return torch.from_numpy(np.searchsorted(bounds, np.arange(bounds[-1] + 1)))
+
+
+def _class_of(columns: Tensor, bounds: tuple[int, ...]) -> Tensor:
+    """First class that has so many columns, or the last one; of whole numbers ``(P,)``."""
+    whole = columns.clamp(1, bounds[-1]).int()
+    return _class_table(bounds).to(whole.device).index_select(0, whole)
+
+
+def _sorts(
     marks: Marks, frame: _Frame, size: tuple[int, int], blocks: DepthBlocks | None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Kind of each mark, how many rows it has along its major axis, and whether all of it is before the scene.
+    """Sort of each mark, how many rows it has along its major axis, and whether all of it is before the scene.
 
-    ``UNSEEN`` is a mark that covers no pixel in front of the scene. What is seen of the scene decides on no other
-    kind: the marks of a pixel add up in one order whatever is behind them.
+    A sort is ``SORTS`` times the kind plus the rows, where marks of as many rows are handled together. Kind ``UNSEEN``
+    is a mark that covers no pixel in front of the scene. What is seen of the scene decides on no other kind: the marks
+    of a pixel add up in one order whatever is behind them.
     """
     height, width = size
     rows = torch.floor(frame.major + 0.5 * (frame.length + frame.chord_most) + 0.5) - frame.first_major + 1
@@ -498,25 +517,31 @@ def _kinds(
         left, broad = torch.where(frame.steep, minor_low, frame.first_major), torch.where(frame.steep, minor_size, rows)
     # A class may have more columns than the mark: what it adds must lie inside the image as well.
     bounds = torch.tensor(CLASSES, device=rows.device, dtype=rows.dtype)
-    columns_class = torch.bucketize(columns.clamp(1, CLASSES[-1]), bounds)
+    columns_class = _class_of(columns, CLASSES)
     spare = bounds.index_select(0, columns_class) - columns
-    inside = (top >= 0) & (left >= 0) & (top + tall + spare < height) & (left + broad + spare < width)
-    unseen = (top + tall < 0) | (left + broad < 0) | (top >= height) | (left >= width) | (frame.area <= 0)
+    bottom, right = top + tall, left + broad
+    inside = compare(top, ">=", 0) & compare(left, ">=", 0)
+    inside &= compare(bottom + spare, "<", height) & compare(right + spare, "<", width)
+    unseen = compare(bottom, "<", 0) | compare(right, "<", 0) | compare(top, ">=", height)
+    unseen |= compare(left, ">=", width) | compare(frame.area, "<=", 0)
     before = torch.zeros_like(inside)
     if blocks is not None:
-        small = (tall <= 2 * BLOCK_PX) & (broad <= 2 * BLOCK_PX)
+        small = compare(tall, "<=", 2 * BLOCK_PX) & compare(broad, "<=", 2 * BLOCK_PX)
         nearest, farthest = blocks.at(marks.sample, marks.u_px, marks.v_px)
-        before = small & (marks.depth_m < nearest)
-        unseen |= small & (marks.depth_m >= farthest)
-    kind = columns_class * 2 + inside
-    wide = frame.width > WIDE_PX
+        before = small & compare(marks.depth_m, "<", nearest)
+        unseen |= small & compare(marks.depth_m, ">=", farthest)
+    kind, alike = columns_class * 2 + inside, inside
+    wide = compare(frame.width, ">", WIDE_PX)
     if bool(wide.any()):
-        wide_bounds = torch.tensor(WIDE_CLASSES, device=rows.device, dtype=rows.dtype)
-        wide_kind = 2 * len(CLASSES) + torch.bucketize(columns.clamp(1, CLASSES[-1]), wide_bounds)
+        wide_kind = 2 * len(CLASSES) + _class_of(columns, WIDE_CLASSES)
         kind = kind + wide * (wide_kind - kind)
-    kind = kind + 1
+        alike = inside & ~wide
+    sort = (kind + 1) * SORTS
+    rows = rows.clamp(1, CLASSES[-1]).int()
+    if frame.slope is None:
+        sort += rows * (alike & compare(rows, "<=", MOST_ROWS))
     # Small integers sort fastest.
-    return kind.masked_fill_(unseen, UNSEEN).to(torch.int16), rows.clamp(1, CLASSES[-1]).long(), before
+    return sort.masked_fill_(unseen, UNSEEN).to(torch.int16), rows.long(), before
 
 
 def _add_sorted(
@@ -529,7 +554,7 @@ def _add_sorted(
     image: _Pixels,
     counts: list[int],
 ) -> tuple[Tensor, Tensor | None]:
-    """Add marks that are sorted by kind.
+    """Add marks that are sorted.
 
     Args:
         total, faded, depth_m: as in ``add_listed``.
@@ -537,16 +562,21 @@ def _add_sorted(
         frame: the marks, ``(P,)``.
         rows: of each mark, ``(P,)``.
         before: whether all of a mark is before the scene, ``(P,)``.
-        counts: marks of each kind above ``UNSEEN``.
+        counts: marks of each sort of the kinds above ``UNSEEN``.
     """
-    last = [sum(counts[: number + 1]) for number in range(len(counts))]
+    last = list(accumulate(counts))
     present = [(number, stop - counts[number], stop) for number, stop in enumerate(last) if counts[number]]
     if not present:
         return total, faded
     ends = torch.cumsum(rows, 0)
     row_ends = ends[torch.tensor([stop - 1 for _, _, stop in present], device=ends.device)].tolist()
     for place, (number, first, stop) in enumerate(present):
-        columns, wide, clip = KINDS[number]
+        kind, alike = divmod(number, SORTS)
+        columns, wide, clip = KINDS[kind]
+        if alike:
+            same = _MarksAlike(frame.part(first, stop), alike, columns)
+            total, faded = same.deposit(total, faded, before[first:stop], depth_m, image)
+            continue
         start = row_ends[place - 1] if place else 0
         for some, number_of_rows in _portions(ends, first, stop, start, row_ends[place], PAIRS_AT_ONCE // columns):
             part = _RowsOfMarks.of(frame.part(some.start, some.stop), rows[some], number_of_rows)
@@ -568,6 +598,75 @@ def _portions(ends: Tensor, first: int, stop: int, before: int, after: int, most
         (slice(first + low, first + high), up - down)
         for low, high, down, up in zip(starts, cuts, sums_before, sums, strict=True)
     ]
+
+
+@dataclass(frozen=True)
+class _MarksAlike:
+    """Narrow upright marks inside the image that have as many rows and columns: no pixel needs to look up its mark.
+
+    Args:
+        frame: the marks, ``(P,)``.
+        rows, columns: of every mark.
+    """
+
+    frame: _Frame
+    rows: int
+    columns: int
+
+    def deposit(
+        self, total: Tensor, faded: Tensor | None, before: Tensor, depth_m: Tensor, image: _Pixels
+    ) -> tuple[Tensor, Tensor | None]:
+        """Add the optical depth of the marks to their pixels, in place.
+
+        First every mark's first pixel, then every mark's second one: a pixel adds up in one order whatever marks are
+        beside its own.
+
+        Args:
+            total, faded, depth_m: as in ``add_listed``.
+            before: whether all of a mark is before the scene, ``(P,)``.
+            image: its size.
+        """
+        coverage, pixel = self._coverage(), self._pixels(image)
+        beside = places_of(~before)  # marks with pixels to look at
+        if len(beside):
+            there = depth_m.index_select(0, pixel.index_select(1, beside).view(-1))
+            near = compare(self.frame.depth_m.index_select(0, beside), "<", there.view(-1, len(beside)))
+            coverage = coverage.index_copy(1, beside, coverage.index_select(1, beside) * near)
+        optical = coverage.clamp(0.0, FULL).neg_().log1p_().neg_()
+        total = total.scatter_add_(0, pixel.view(-1), optical.view(-1))
+        if faded is not None and self.frame.clearness is not None:
+            faded = faded.scatter_add_(0, pixel.view(-1), (optical * self.frame.clearness).view(-1))
+        return total, faded
+
+    def _coverage(self) -> Tensor:
+        """Coverage of each pixel of every mark, ``(rows * columns, P)``."""
+        frame = self.frame
+        coverage = frame.area[None]
+        if self.rows > 1:
+            reach, middle = 0.5 * (frame.length + frame.chord), 0.5 * (frame.length - frame.chord).abs()
+            edge = (frame.first_major + 0.5) - frame.major
+            y = torch.clamp(edge + _steps(self.rows - 1, edge)[:, None], -reach, reach)
+            # trapezoid_share, with each mark's area in its factor
+            rising = (y + reach).square_()
+            rising -= (y + middle).clamp_min_(0).square_()
+            rising -= (y - middle).clamp_min_(0).square_()
+            share = rising * (frame.area / (2 * frame.length * frame.chord))
+            coverage = torch.cat([share, coverage])
+            coverage[1:] -= share
+        if self.columns > 1:
+            side = frame.first_minor + (_steps(self.columns - 1, frame.minor)[:, None] + 0.5) - frame.minor
+            weight = _shares(chord_share(side / frame.across), 0)
+            coverage = (coverage[:, None] * weight).flatten(0, 1)
+        return coverage
+
+    def _pixels(self, image: _Pixels) -> Tensor:
+        """Index of the pixels ``(rows * columns, P)`` in the flattened batch."""
+        frame = self.frame
+        first = frame.first_major.int().long() * image.down + frame.first_minor.int().long() * image.across
+        if frame.sample is not None:
+            first = first + frame.sample * (image.height * image.width)
+        steps = [row * image.down + column * image.across for row in range(self.rows) for column in range(self.columns)]
+        return first + torch.tensor(steps, device=first.device)[:, None]
 
 
 @dataclass(frozen=True)
