@@ -19,6 +19,7 @@ from torchweather.core.random import (
     draw_variates,
     keyed_stream,
     normal_table,
+    normals_of_key,
     sample_seeds,
     sizes_of,
 )
@@ -120,6 +121,14 @@ def test_a_draw_up_to_a_level_is_the_beginning_of_a_whole_one() -> None:
     assert np.array_equal(every[: len(some)], some)
     assert np.all(np.diff(every[:, 3]) >= 0)
     assert some[-1, 3] > 0.02  # no point of a lower level is left out
+
+
+@pytest.mark.parametrize("first", [0, 1, 3, 16, 37, 16 * 4096, 100_001])
+def test_normals_of_a_key_begin_at_any_number(first: int) -> None:
+    key = np.array([3, 2**63 + 5], np.uint64)
+    every = normals_of_key(key, (300_000,))
+    for number in (1, 5, 70_000, 150_000):
+        assert np.array_equal(normals_of_key(key, (number,), first), every[first : first + number])
 
 
 def test_the_tabulated_normal_law_is_the_normal_one() -> None:

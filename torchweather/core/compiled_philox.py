@@ -15,13 +15,12 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from torchweather.core.compiled import jit
-from torchweather.core.philox import MULTIPLIERS, ROUNDS, WEYL
+from torchweather.core.philox import MULTIPLIERS, NORMALS_A_BLOCK, ROUNDS, WEYL
 
 __all__ = ["NORMALS_A_BLOCK", "draw_normals", "draw_uniforms", "philox_words"]
 
 Words = NDArray[np.uint64]
 
-NORMALS_A_BLOCK = 16  # 4 words of 64 bits of a counter, 16 bits a normal
 MULTIPLIER_0, MULTIPLIER_1 = (np.uint64(one) for one in MULTIPLIERS)
 UNIFORMS_A_BLOCK = 8  # 32 bits a number, the lower ones first
 WORDS_AT_ONCE = 1024  # that stay in the cache; a multiple of 4

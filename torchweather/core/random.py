@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from torchweather.core.compiled import uses_compiled
 from torchweather.core.exceptions import InputTypeError, InputValueError
+from torchweather.core.philox import NORMALS_A_BLOCK
 
 # torch is imported where it is needed: the noise of an exported graph is drawn without it.
 if TYPE_CHECKING:
@@ -145,20 +146,23 @@ def _key(seed: int, stream: str) -> NDArray[np.uint64]:
     return np.array([_whole(seed, "seed") & (2**64 - 1), int.from_bytes(digest, "little")], dtype=np.uint64)
 
 
-def normals_of_key(key: NDArray[np.uint64], shape: Sequence[int]) -> NDArray[np.float32]:
-    """Tabulated normals of a key that ``draw_variates(keyed=True)`` gave in their place."""
+def normals_of_key(key: NDArray[np.uint64], shape: Sequence[int], first: int = 0) -> NDArray[np.float32]:
+    """Tabulated normals of a key that ``draw_variates(keyed=True)`` gave in their place, from number ``first`` on."""
     out = np.empty(tuple(shape), dtype=np.float32)
-    _fill_normals(np.random.Generator(np.random.Philox(key=key)), out)
+    blocks, within = divmod(first, NORMALS_A_BLOCK)
+    _fill_normals(np.random.Generator(np.random.Philox(key=key).advance(blocks)), out, within)
     return out
 
 
-def _fill_normals(generator: np.random.Generator, out: NDArray[np.float32]) -> None:
+def _fill_normals(generator: np.random.Generator, out: NDArray[np.float32], within: int = 0) -> None:
+    """Fill an array with tabulated normals, less than a block of which are passed over."""
     flat, table = out.reshape(-1), normal_table()
-    for start in range(0, flat.size, NORMALS_AT_ONCE):
-        some = flat[start : start + NORMALS_AT_ONCE]
-        raw: NDArray[np.uint64] = generator.bit_generator.random_raw(-(-some.size // 4))
+    for begin in range(0, within + flat.size, NORMALS_AT_ONCE):
+        some = flat[max(begin - within, 0) : begin - within + NORMALS_AT_ONCE]
+        over = 0 if begin else within
+        raw: NDArray[np.uint64] = generator.bit_generator.random_raw(-(-(over + some.size) // 4))
         # 16 bits each, the lowest first
-        np.take(table, raw.astype("<u8", copy=False).view("<u2")[: some.size], out=some, mode="clip")
+        np.take(table, raw.astype("<u8", copy=False).view("<u2")[over : over + some.size], out=some, mode="clip")
 
 
 def sample_seed(seed: int, key: int | str, epoch: int = 0) -> int:

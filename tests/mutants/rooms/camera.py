@@ -188,6 +188,35 @@ MUTANTS = (
         ("tests/camera/particles/test_streaks.py::test_area_is_conserved_at_any_width_and_speed",),
     ),
     Mutant(
+        "marks_alike_blind_to_depth",
+        "of marks of as many rows, each hides only behind what is nearer",
+        STREAKS,
+        'compare(self.frame.depth_m.index_select(0, beside), "<", there',
+        'compare(self.frame.depth_m.index_select(0, beside), ">", there',
+        (DEPOSIT,),
+    ),
+    Mutant(
+        "last_row_of_marks_alike_takes_all",
+        "rows of a mark share its area",
+        STREAKS,
+        "coverage[1:] -= share",
+        "coverage[1:-1] -= share[:-1]",
+        (DEPOSIT,),
+    ),
+    Mutant(
+        "haze_without_the_noise_of_neighbouring_rows",
+        "a row of the haze takes noise of the rows beside it",
+        "torchweather.camera.particles.haze_numbers",
+        "np.arange(places[0] - beside, places[-1] + beside + 1)",
+        "np.arange(places[0], places[-1] + 1)",
+        (
+            (
+                "tests/camera/particles/test_haze_numbers.py::"
+                "test_a_frame_takes_the_same_haze_of_some_rows_as_of_all[0.0]"
+            ),
+        ),
+    ),
+    Mutant(
         "rows_of_a_mark_begin_before_it",
         "the first row of a mark holds what lies above its lower edge",
         STREAKS,

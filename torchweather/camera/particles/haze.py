@@ -22,15 +22,13 @@ from torch import Tensor
 from torchweather.camera.night.lamp_light import NEAREST_M
 from torchweather.camera.particles.haze_convolution import streaky_maps
 from torchweather.camera.state import CameraState
-from torchweather.core.device_normals import normals_by_torch
-from torchweather.core.random import normals_of_key
 from torchweather.pipeline.graph_operations import columns_at, entries_at, parts_of, shaped_as
 from torchweather.pipeline.tiling import is_exporting, rows_of
 
 if TYPE_CHECKING:
     from torchweather.camera.particles.population import AtRate, Population
 
-__all__ = ["haze_depth", "numbers_of_keys"]
+__all__ = ["focal_px", "haze_depth", "rows_beside", "variance_before"]
 
 LEAST = 1e-16  # optical depth and variance below which the haze does not fluctuate
 FLOOR = 1e-30
@@ -62,17 +60,12 @@ def haze_depth(
     Returns:
         Optical depth ``(B, 1, rows, W)`` and, with fog, the same weighted with the fog's transmission.
     """
-    t = population.tables
     b, _, _, width = state.image.signal.shape
-    intrinsics = state.scene.intrinsics.float()
-    focal = torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
-    depth_m = rows_of(state.scene.depth_m, first, last).float().clamp(1e-6, population.far_m)
+    focal = focal_px(state)
     # What all samples have in common, such as one depth map and one rate, is looked up once.
     scale = focal if is_exporting() else focal.view(-1, 1, 1, 1)
-    if state.air.particle_reach_m is not None:
-        depth_m = torch.minimum(depth_m, state.air.particle_reach_m.float().clamp_min(1e-6).view(-1, 1, 1, 1))
-    foot = depth_m / scale
-    node = (torch.log(foot) - t.log_footprint_low) / t.log_footprint_step
+    depth_m = rows_of(state.scene.depth_m, first, last).float()
+    node = _node(population, state, depth_m, scale)
     read = _reader(node, tables.haze_depth.shape[1])
     if tables.at_once is not None:
         every = tables.at_once.by_footprint * scale
@@ -84,25 +77,28 @@ def haze_depth(
     fields = noise[f"{population.weather.kind}_haze"].to(state.image.signal.device)  # (B, J, H, W)
     if tables.at_once is not None:
         maps = streaky_maps(fields, tables, population)
-        deviation = _deviation_at_once(every, variance, maps, population) * ray
+        deviation = _deviation_at_once(every, variance, maps, population)
     else:
-        deviation = _deviation(population, tables, variance, fields, first, last, scale) * ray
-    mean, variance = on_axis * ray, variance * ray.square()
+        deviation = _deviation(population, tables, variance, fields, first, last, scale)
+    mean = on_axis
     if tables.path_density is not None:
         denser = rows_of(tables.path_density, first, last)
         mean, variance, deviation = mean * denser, variance * denser, deviation * denser.clamp_min(0.0).sqrt()
-    # -ln(1 - m) has the mean of m plus half of its variance: the mean transmission stays exp(-mean).
+    # -ln(1 - m) has the mean of m plus half of its variance: the mean transmission stays exp(-mean). Off the axis the
+    # mean grows by the ray, and variance and deviation by its square and by it: in ln they cancel.
     everywhere = not is_exporting() and bool(mean.amin() > LEAST) and bool(variance.amin() > LEAST)
     if everywhere:
-        centre = mean + 0.5 * variance
+        centre = torch.addcmul(mean, variance, ray, value=0.5)
     else:
         there = (mean > LEAST) & (variance > LEAST)
         variance = torch.where(there, variance, 1.0)
-        centre = torch.where(there, mean, 1.0) + 0.5 * variance
+        centre = torch.where(there, mean, 1.0) + 0.5 * variance * ray
     spread = torch.log1p(variance / centre.square())
-    optical = centre * torch.exp(torch.sqrt(spread / variance) * deviation - 0.5 * spread)
+    power = torch.sqrt(spread / variance) * deviation - 0.5 * spread
+    optical = centre * torch.exp(power)
     if not everywhere:
         optical = torch.where(there, optical, mean)
+    optical = optical * ray
     if lit:
         return optical, optical * _mean_lamplight(population, state, tables, depth_m, focal, first, last)
     if fog_per_m is None:
@@ -112,13 +108,41 @@ def haze_depth(
     return optical, optical * clear * scale / on_axis.clamp_min(FLOOR)
 
 
-def numbers_of_keys(keys: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """Normals of the streams of some keys ``(B, 2)``, ``(B, *shape)``, on their device; drawn there if it is no
-    processor."""
-    if keys.device.type != "cpu":
-        return normals_by_torch(keys, shape)
-    words = keys.numpy().view(np.uint64)
-    return torch.from_numpy(np.stack([normals_of_key(key, shape) for key in words]))
+def variance_before(population: Population, state: CameraState, tables: AtRate, depth_m: Tensor) -> Tensor:
+    """Variance of the haze's optical depth on the axis before a scene, as ``haze_depth`` finds it.
+
+    Args:
+        population, state, tables: as of ``haze_depth``.
+        depth_m: ``(1 or B, 1, ...)`` of the scene.
+    """
+    scale = focal_px(state).view(-1, 1, 1, 1)
+    (found,) = _reader(_node(population, state, depth_m.float(), scale), tables.haze_variance.shape[1])(
+        tables.haze_variance
+    )
+    return found * scale
+
+
+def focal_px(state: CameraState) -> Tensor:
+    """Mean focal length, px, ``(1 or B,)``."""
+    intrinsics = state.scene.intrinsics.float()
+    return torch.sqrt(intrinsics[:, 0] * intrinsics[:, 1])
+
+
+def _node(population: Population, state: CameraState, depth_m: Tensor, scale: Tensor) -> Tensor:
+    """Place of a depth in the tables over the footprint."""
+    t = population.tables
+    depth_m = depth_m.clamp(1e-6, population.far_m)
+    if state.air.particle_reach_m is not None:
+        depth_m = torch.minimum(depth_m, state.air.particle_reach_m.float().clamp_min(1e-6).view(-1, 1, 1, 1))
+    return (torch.log(depth_m / scale) - t.log_footprint_low) / t.log_footprint_step
+
+
+def rows_beside(population: Population, number: int) -> int:
+    """Rows of a shell's white noise above and below a row that it takes."""
+    if population.haze_steep:
+        return population.taps_along[number]
+    lean = math.ceil(population.taps_along[number] * abs(population.haze_slope))
+    return population.taps_across[number] + lean
 
 
 def _reader(node: Tensor, nodes: int) -> Callable[..., list[Tensor]]:
@@ -177,20 +201,24 @@ def _deviation(
     scale: Tensor,
 ) -> Tensor:
     """Sum of the shells' noise maps, each with the variance of its part in front of the scene."""
-    total = variance.new_zeros(())
+    total = torch.zeros_like(variance)
     learns = variance.requires_grad  # the root's gradient at 0 is infinite
+    most = variance.detach().flatten(1).amax(1)
     for number, shell in enumerate(population.haze_shells):
+        low, high = tables.haze_variance[:, shell.first_node], tables.haze_variance[:, shell.last_node]
+        low, high = (end.view(-1, 1, 1, 1) * scale for end in (low, high))
+        if not bool((most > low.detach().flatten()).any()):
+            continue  # nowhere does the shell reach into the air before the scene
         smooth = _streaky(fields, tables, first, last, population, number)
-        low = tables.haze_variance[:, shell.first_node].view(-1, 1, 1, 1) * scale
-        high = tables.haze_variance[:, shell.last_node].view(-1, 1, 1, 1) * scale
-        inside = torch.minimum(variance, high) - low
         if learns:
+            inside = torch.minimum(variance, high) - low
             positive = inside > 0
             root = torch.sqrt(torch.where(positive, inside, torch.ones_like(inside)))
             root = torch.where(positive, root, torch.zeros_like(root))
+            total = total + root * smooth
         else:
-            root = inside.clamp_min_(0.0).sqrt_()
-        total = total + root * smooth
+            root = torch.clamp(variance, low, high).sub_(low).sqrt_()
+            total = torch.addcmul(total, root, smooth)
     return total
 
 
@@ -278,12 +306,10 @@ def _streaky(noise: Tensor, tables: AtRate, first: int, last: int, population: P
     shell = slice(number, number + 1)
     along, across = tables.kernel_along[:, shell], tables.kernel_across[:, shell]
     taps_along, taps_across = population.taps_along[number], population.taps_across[number]
-    slope, white = population.haze_slope, noise[:, shell]
-    lean = math.ceil(taps_along * abs(slope))
+    slope, beside = population.haze_slope, rows_beside(population, number)
+    band = _row_window(noise[:, shell], first - beside, last + beside)
     if population.haze_steep:
-        band = _row_window(white, first - taps_along, last + taps_along)
         return _along_columns(_along_rows(band, along, slope, taps_along), across, 0.0, taps_across)
-    band = _row_window(white, first - taps_across - lean, last + taps_across + lean)
     return _along_columns(_along_rows(band, across, 0.0, taps_across), along, slope, taps_along)
 
 

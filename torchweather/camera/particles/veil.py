@@ -17,7 +17,7 @@ from torchweather.camera.fog import FADING_COLOUR
 from torchweather.camera.options import RENAMED
 from torchweather.camera.particles import compiled
 from torchweather.camera.particles.haze import haze_depth as haze_by_torch
-from torchweather.camera.particles.haze import numbers_of_keys
+from torchweather.camera.particles.haze_numbers import numbers_of_keys
 from torchweather.camera.particles.optical_depth import haze_depth, listed_depth
 from torchweather.camera.particles.population import Array, AtRate, Population
 from torchweather.camera.particles.sequence import next_frame
@@ -441,8 +441,7 @@ class ParticleVeil(Stage):
             lit = state.air.lamp_light is not None
             name = f"{part.weather.kind}_haze"
             if noise[name].dtype == torch.int64 and (lit or not compiled.covers(part, state, noise, table)):
-                shape = (len(part.haze_shells), *state.image.signal.shape[-2:])
-                found[name] = numbers_of_keys(noise[name].to(state.image.signal.device), shape)
+                found[name] = numbers_of_keys(noise[name].to(state.image.signal.device), part, state, table)
         return found
 
     def _falling(self, batch: int) -> list[bool]:
