@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from torchweather.camera.srgb_bytes import bytes_of_light, light_of_bytes
+from torchweather.camera.srgb_bytes import byte_limits, bytes_of_light, light_of_bytes
 from torchweather.image import srgb_decode
 
 LEVELS = torch.arange(256, dtype=torch.uint8)
@@ -24,6 +24,14 @@ def test_levels_are_the_nearest_of_the_transfer_function() -> None:
     # The two pieces of the curve meet within 3e-8, and 1e-6 of a level is the rounding of the reference.
     assert off.max() <= 0.5 + 1e-5
     assert bytes_of_light(torch.tensor([-1.0, 0.0, 1.0, 7.0])).tolist() == [0, 0, 255, 255]
+
+
+def test_levels_begin_at_their_limits_to_the_last_bit() -> None:
+    begins = byte_limits(torch.device("cpu"))[1]
+    limits = torch.unique(begins[torch.isfinite(begins)])
+    assert torch.equal(bytes_of_light(limits), LEVELS[1:])
+    assert torch.equal(bytes_of_light(torch.nextafter(limits, torch.zeros(()))), LEVELS[:-1])
+    assert torch.equal(bytes_of_light(limits.double()), LEVELS[1:])
 
 
 def test_images_of_several_portions_and_any_layout() -> None:
