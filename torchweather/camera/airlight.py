@@ -18,6 +18,7 @@ from torchweather.camera.luminance import airlight_from_luminance
 from torchweather.camera.state import CameraState
 from torchweather.core.compiled import uses_compiled
 from torchweather.core.errors import InputValueError, TorchweatherWarning, owner_name
+from torchweather.core.masks import most_of
 from torchweather.pipeline.graph_operations import cells_apart
 from torchweather.pipeline.tiling import is_exporting
 
@@ -166,14 +167,15 @@ def _warn(airlight: Tensor, seen: Tensor, owner: object, *, planes: bool, night:
 def _horizon_sky(state: CameraState, steps_px: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Sky's light per colour ``(B, 3)``, weighted towards the horizon, from some rows and columns; and whether every
     colour was seen, ``(B, 1)``."""
-    dtype = state.image.signal.dtype
-    if state.scene.sky is None:
-        sky = torch.isinf(thinned(state, state.scene.depth_m, steps_px)).to(dtype)
-    else:
-        sky = thinned(state, state.scene.sky, steps_px).to(dtype)
-    if not bool(sky.any()):  # the other maps need not be read
-        unseen = torch.zeros(state.batch, 1, dtype=torch.bool, device=sky.device)
+    given, depth_m, sky = state.scene.sky, state.scene.depth_m, None
+    if given is not None:
+        sky = thinned(state, given, steps_px)
+    elif most_of(_rows_with(state, depth_m, steps_px[0])) == torch.inf:
+        sky = torch.isinf(thinned(state, depth_m, steps_px))
+    if sky is None or not bool(sky.any()):  # the other maps need not be read
+        unseen = torch.zeros(state.batch, 1, dtype=torch.bool, device=depth_m.device)
         return state.image.signal.new_zeros(state.batch, 3), unseen
+    sky = sky.to(state.image.signal.dtype)
     signal = thinned(state, state.image.signal, steps_px)  # (B, 4 or 3, n)
     weight = sky
     if state.scene.sine_elevation is not None:
@@ -182,6 +184,14 @@ def _horizon_sky(state: CameraState, steps_px: tuple[int, int]) -> tuple[Tensor,
     seen = (sky > 0.5).any(-1).all(1, keepdim=True).expand(len(signal), 1)
     light = (signal * weight).sum(-1) / weight.sum(-1).clamp_min(1e-12)
     return per_colour(light.view(-1, 2, 2), state) if state.receiver.cfa_index is not None else light, seen
+
+
+def _rows_with(state: CameraState, image: Tensor, down: int) -> Tensor:
+    """The rows of an image that ``thinned`` takes of every ``down``: whole rows are read fast."""
+    if state.receiver.cfa_index is None:
+        return image[..., ::down, :]
+    height, width = image.shape[-2:]
+    return image.reshape(-1, height // 2, 2, width)[:, :: down // 2]
 
 
 def _horizon_sky_at_once(state: CameraState) -> tuple[Tensor, Tensor]:
@@ -268,7 +278,7 @@ def _neutral(light: Tensor) -> Tensor:
 def _any_sky(state: CameraState) -> bool:
     if state.scene.sky is not None:
         return bool(state.scene.sky.amax() > 0.5)
-    return bool(torch.isinf(state.scene.depth_m.amax()))
+    return most_of(state.scene.depth_m) == torch.inf
 
 
 def _brightest(state: CameraState) -> Tensor:

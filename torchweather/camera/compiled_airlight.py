@@ -16,17 +16,31 @@ ZERO, ONE, ENDLESS = np.float32(0), np.float32(1), np.float32(np.inf)
 
 
 @jit
+def _add_three(out: Array, a: Array, b: Array, c: Array) -> None:
+    for at in range(out.size):  # from slices: with at + 2 there would be no vectors
+        out[at] = (a[at] + b[at]) + c[at]
+
+
+@jit
+def _raise_most(most: Array, sums: Array, share: np.float32) -> None:
+    for at in range(most.size):
+        most[at] = max(most[at], sums[at] * share)
+
+
+@jit
 def _sums_row(both: Array, signal: Array, row: int, spare: Array) -> int:
     """Sums over the 3 x 3 neighbours two apart of each pixel of a row, and how many rows they have."""
     height, width = signal.shape
     first, last = max(row - 2, row % 2), row + 2 if row + 2 < height else row
-    for at in range(width):
-        spare[at] = signal[first, at]
-    for other in range(first + 2, last + 1, 2):
+    if last == first + 4:
+        _add_three(spare, signal[first], signal[first + 2], signal[last])
+    else:
         for at in range(width):
-            spare[at] += signal[other, at]
-    for at in range(2, width - 2):
-        both[at] = (spare[at - 2] + spare[at]) + spare[at + 2]
+            spare[at] = signal[first, at]
+        for other in range(first + 2, last + 1, 2):
+            for at in range(width):
+                spare[at] += signal[other, at]
+    _add_three(both[2 : width - 2], spare[: width - 4], spare[2 : width - 2], spare[4:])
     for at in range(2):
         both[at] = spare[at] + spare[at + 2]
         both[width - 1 - at] = spare[width - 1 - at] + spare[width - 3 - at]
@@ -47,8 +61,7 @@ def brightest_cells(signal: Array) -> Array:
         count = _sums_row(both, signal, row, spare)
         inner, outer = np.float32(1.0 / (3 * count)), np.float32(1.0 / (2 * count))
         column_most = most[row % 2]
-        for at in range(2, width - 2):
-            column_most[at] = max(column_most[at], both[at] * inner)
+        _raise_most(column_most[2 : width - 2], both[2 : width - 2], inner)
         for at in (0, 1, width - 2, width - 1):
             column_most[at] = max(column_most[at], both[at] * outer)
     found = np.empty((2, 2), np.float32)

@@ -10,6 +10,7 @@ from torchweather.camera.airlight import STRIDES_PX, per_colour, thinned
 from torchweather.camera.compiled_rows import map_of, on_processor
 from torchweather.camera.state import CameraState
 from torchweather.core.compiled import uses_compiled
+from torchweather.core.masks import compare
 from torchweather.pipeline.graph_operations import cells_apart, parts_of
 from torchweather.pipeline.tiling import is_exporting
 
@@ -71,7 +72,7 @@ def _light_of_ground(state: CameraState, sine_elevation: Tensor) -> tuple[Tensor
 
 def _ground(state: CameraState, sine_elevation: Tensor) -> Tensor:
     """Share of ground of each pixel, ``(1 or B, 1, H, W)``."""
-    sky = torch.isinf(state.scene.depth_m) if state.scene.sky is None else state.scene.sky
+    sky = compare(state.scene.depth_m, ">=", torch.inf) if state.scene.sky is None else state.scene.sky
     ground = (sine_elevation < 0.0).to(state.image.signal) * (1 - sky.to(state.image.signal))
     if state.scene.near_mask is not None:
         ground = ground * (1 - state.scene.near_mask.to(state.image.signal))

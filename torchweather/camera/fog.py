@@ -23,6 +23,7 @@ from torchweather.camera.state import CameraState
 from torchweather.core.arguments import check_arguments
 from torchweather.core.compiled import uses_compiled
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning, check_one_of
+from torchweather.core.masks import compare
 from torchweather.core.threads import side_by_side
 from torchweather.physics import InterpolationTable, extinction_from_mor, extinction_per_m
 from torchweather.physics.d34 import table13
@@ -195,17 +196,22 @@ class ExtinctionAndAirlight(Stage):
         per_band: Tensor = self.table.to(self.mor_m.device)(self.mor_m.reshape(-1))
         return per_band.expand(batch, 3)
 
-    def airlight(self, state: CameraState) -> Tensor:
-        """Airlight per colour, ``(B, 3)``: given, or estimated from the frame."""
-        given = isinstance(self.given_airlight, tuple)
-        return given_or_estimated(
-            self.given_airlight, state, self, None if given else self.extinction_per_m(state.batch)
-        )
+    def airlight(self, state: CameraState, extinction_per_m: Tensor | None = None) -> Tensor:
+        """Airlight per colour, ``(B, 3)``: given, or estimated from the frame.
+
+        Args:
+            state: the frame.
+            extinction_per_m: ``(B, 3)`` of the fog, where it is known.
+        """
+        if extinction_per_m is None and not isinstance(self.given_airlight, tuple):
+            extinction_per_m = self.extinction_per_m(state.batch)
+        return given_or_estimated(self.given_airlight, state, self, extinction_per_m)
 
     def forward(self, state: CameraState, noise: Mapping[str, Tensor], out: Tensor | None = None) -> CameraState:
         """The foggy frame."""
-        extinction = self.extinction_per_m(state.batch).to(state.image.signal.dtype)
-        airlight = scaled_airlight(self.airlight(state), state)
+        own_extinction = self.extinction_per_m(state.batch)
+        extinction = own_extinction.to(state.image.signal.dtype)
+        airlight = scaled_airlight(self.airlight(state, own_extinction), state)
         if state.air.extinction_scale is not None:
             extinction = extinction * state.air.extinction_scale
         density = state.air.fog_density
@@ -247,7 +253,8 @@ class ExtinctionAndAirlight(Stage):
                 clear = torch.lerp(clear, above, state.by_cells(state.scene.sky[rows]).to(clear.dtype))
             if own is not None:
                 # Air as thin as the picture's own adds the light that each pixel of its sky has already.
-                sky = torch.isinf(state.scene.depth_m[rows]) if state.scene.sky is None else state.scene.sky[rows]
+                endless = compare(state.scene.depth_m[rows], ">=", torch.inf)
+                sky = endless if state.scene.sky is None else state.scene.sky[rows]
                 clear = 1.0 - (1.0 - clear) * (1.0 - state.by_cells(sky.to(clear.dtype)) * own)
             if state.scene.near_mask is not None:
                 clear = torch.lerp(

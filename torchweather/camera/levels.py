@@ -8,6 +8,7 @@ from torch import Tensor
 from torchweather.camera.sensor import Camera
 from torchweather.camera.tone import compand, expand, normalise, quantise
 from torchweather.core.errors import InputTypeError, InputValueError, owner_name
+from torchweather.core.masks import ends_of
 from torchweather.pipeline.tiling import is_exporting
 
 __all__ = ["check_bayer", "raw_from_linear", "raw_to_linear"]
@@ -59,7 +60,7 @@ def raw_to_linear(bayer: Tensor, camera: Camera, owner: object) -> Tensor:
     linear = normalise(bayer, black, white)
     linear = linear if linear.dtype in (torch.float32, torch.float64) else linear.float()
     if not is_exporting() and linear.numel():
-        low, high = (float(v) for v in torch.aminmax(linear.detach()))
+        low, high = ends_of(linear)
         # Half a step of rounding is no contradiction.
         if not (high <= 1.0 + 1e-6 and low == low):
             raw_high = high * (white - black) + black

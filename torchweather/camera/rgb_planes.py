@@ -10,6 +10,7 @@ from torch import Tensor
 from torchweather.camera.srgb_bytes import bytes_of_light, light_of_bytes
 from torchweather.camera.tone import normalise, quantise, srgb_decode, srgb_encode
 from torchweather.core.errors import InputTypeError, InputValueError
+from torchweather.core.masks import ends_of
 
 __all__ = ["check_rgb", "encoded_planes", "linear_planes"]
 
@@ -34,7 +35,7 @@ def check_rgb(rgb: Any, owner: str) -> None:
 def check_rgb_values(rgb: Tensor, owner: str) -> None:
     """Raise unless a float image lies in 0..1, without NaN."""
     if rgb.is_floating_point() and rgb.numel() and not torch.compiler.is_compiling():
-        low, high = (float(v) for v in torch.aminmax(rgb.detach()))
+        low, high = ends_of(rgb)
         if not (low >= 0.0 and high <= 1.0):  # NaN fails both
             raise InputValueError(
                 f"{owner}: float images must lie in 0..1, without NaN; got {low:g}..{high:g}. Divide by the full "

@@ -13,6 +13,7 @@ from torchweather.camera.depth.scene_depth import EXACT, SceneDepth, least_sure
 from torchweather.camera.sensor import Camera
 from torchweather.core.arguments import check_arguments
 from torchweather.core.errors import InputTypeError, InputValueError, TorchweatherWarning
+from torchweather.core.masks import compare, ends_of, least_of
 
 __all__ = ["DepthSource", "SceneSource", "check_depth", "scene_of", "warn_of_depth"]
 
@@ -148,8 +149,7 @@ def check_depth(depth_m: Tensor, height: int | None = None, width: int | None = 
         raise InputTypeError(f"{name}: depth must be floating point, metres; got {depth_m.dtype}.")
     if torch.compiler.is_compiling():
         return
-    # One pass without a temporary: the minimum of a map with NaN is NaN.
-    if depth_m.numel() and not bool(depth_m.amin() > 0):
+    if depth_m.numel() and not least_of(depth_m) > 0:  # NaN is not
         nan, zero, negative = int(depth_m.isnan().sum()), int((depth_m == 0).sum()), int((depth_m < 0).sum())
         remedy = "Complete maps with unknown pixels: CompletedDepthMap(depth)."
         if zero and not nan and not negative:
@@ -182,8 +182,8 @@ def warn_of_depth(depth_m: Tensor, camera: Camera, owner: object) -> None:
     height = depth_m.shape[-2]
     depth_m = depth_m.detach()
     low = depth_m[..., height * 2 // 3 :, :]
-    nearest, farthest = (float(end) for end in torch.aminmax(low))
-    share = 0.0 if farthest < torch.inf else int(torch.isinf(low).count_nonzero()) / low.numel()
+    nearest, farthest = ends_of(low)
+    share = 0.0 if farthest < torch.inf else int(compare(low, ">=", torch.inf).sum()) / low.numel()
     if share > _SKY_ON_ROAD and _below_horizon(camera, height * 2 // 3 / height):
         whole = float(torch.isinf(depth_m).float().mean())
         if whole < 1:
