@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torchweather.core.compiled import jit
 from torchweather.core.philox import MULTIPLIERS, NORMALS_A_BLOCK, ROUNDS, WEYL
 
-__all__ = ["NORMALS_A_BLOCK", "draw_normals", "draw_uniforms", "philox_words"]
+__all__ = ["NORMALS_A_BLOCK", "draw_normals", "draw_uniforms", "philox_words", "write_levels"]
 
 Words = NDArray[np.uint64]
 
@@ -92,3 +92,20 @@ def draw_uniforms(out: NDArray[np.float32], key_0: np.uint64, key_1: np.uint64) 
         halves = words.view(np.uint32)
         for at in range(some.size):
             some[at] = np.float32(halves[at] >> np.uint32(8)) * OF_24_BITS
+
+
+@jit
+def write_levels(out: NDArray[np.float32], gaps: NDArray[np.float64], mean: float, absent: float) -> None:
+    """Write the rising levels of a Poisson process; ``absent`` from 1 on.
+
+    Args:
+        out: ``(n,)``, written.
+        gaps: ``(n,)`` of the exponential law.
+        mean: number of points below 1.
+        absent: in place of a level.
+    """
+    whole, one, none = 0.0, np.float32(1), np.float32(absent)
+    for at in range(gaps.size):
+        whole += gaps[at]
+        level = np.float32(whole / mean)
+        out[at] = level if level < one else none

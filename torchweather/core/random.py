@@ -209,27 +209,35 @@ def _hashed(text: str) -> int:
 
 
 def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], out: NDArray[np.float32]) -> None:
-    if variate.law == "uniform" and out.size >= COMPILED_FROM and sys.byteorder == "little" and _has_loops():
-        from torchweather.core.compiled_philox import draw_uniforms
-
-        draw_uniforms(out.reshape(-1), *_key(seed, stream))
-        return
-    generator = keyed_stream(seed, stream)
     if variate.law == "uniform":
-        generator.random(out=out, dtype=np.float32)
+        _fill_uniforms(seed, stream, out)
     elif variate.law == "normal":
-        generator.standard_normal(out=out, dtype=np.float32)
+        keyed_stream(seed, stream).standard_normal(out=out, dtype=np.float32)
     elif variate.law == "tabulated_normal":
-        _fill_normals(generator, out)
+        _fill_normals(keyed_stream(seed, stream), out)
     elif variate.law == "exponential":
-        generator.standard_exponential(out=out, dtype=np.float32)
+        keyed_stream(seed, stream).standard_exponential(out=out, dtype=np.float32)
     else:
-        generator.random(out=out, dtype=np.float32)
+        _fill_uniforms(seed, stream, out)
         # Levels of a Poisson process in rising order: the gaps are exponential. A shorter draw has the same ones first.
         gaps = keyed_stream(seed, f"{stream}.level").standard_exponential(len(out))
         mean = variate.mean_points(sizes)
+        if len(out) >= COMPILED_FROM and mean > 0 and _has_loops():
+            from torchweather.core.compiled_philox import write_levels
+
+            write_levels(out[:, -1], gaps, mean, ABSENT)
+            return
         level = (np.cumsum(gaps) / mean if mean > 0 else np.full(len(out), ABSENT)).astype(np.float32)
         out[:, -1] = np.where(level < 1.0, level, np.float32(ABSENT))
+
+
+def _fill_uniforms(seed: int, stream: str, out: NDArray[np.float32]) -> None:
+    if out.size >= COMPILED_FROM and sys.byteorder == "little" and _has_loops():
+        from torchweather.core.compiled_philox import draw_uniforms
+
+        draw_uniforms(out.reshape(-1), *_key(seed, stream))
+    else:
+        keyed_stream(seed, stream).random(out=out, dtype=np.float32)
 
 
 def _has_loops() -> bool:

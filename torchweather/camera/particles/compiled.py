@@ -127,14 +127,12 @@ def _by_columns(
     fog_per_m: Tensor | None = None,
 ) -> tuple[Array, Array | None]:
     """As ``listed_depth``, ``(B, W, H)``: one column after the other."""
-    from torchweather.camera.particles.compiled_marks import transposed
-
     b, _, height, width = state.image.signal.shape
     falls = tables.falls.numpy()
     # One column after the other: the pixels of a falling mark lie together.
     totals = np.zeros((b, width, height), np.float32)
     fadeds = None if fog_per_m is None else np.zeros_like(totals)
-    depths = [transposed(depth) for depth in _array(state.scene.depth_m)[:, 0]]
+    depths = [np.ascontiguousarray(depth.T) for depth in _array(state.scene.depth_m)[:, 0]]
     tasks = []
     band_columns = max(BAND_PIXELS // height, 1)  # of points; it depends on the frame alone
     bands = max(1, min(threads_at_hand() // b, width // FEWEST_COLUMNS))
@@ -152,9 +150,7 @@ def _by_columns(
 
 
 def _by_rows(sums: Array) -> Tensor:
-    from torchweather.camera.particles.compiled_marks import transposed
-
-    return torch.stack([torch.from_numpy(transposed(each)) for each in sums])[:, None]
+    return torch.from_numpy(np.stack([each.T for each in sums])[:, None])
 
 
 def _shells(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torchweather.camera.compiled_math import log_of_sum
 from torchweather.core.compiled import jit, uncontracted
 
-__all__ = ["Lens", "MarkShape", "Motion", "Nodes", "add_points", "farthest_around", "in_bands", "transposed"]
+__all__ = ["Lens", "MarkShape", "Motion", "Nodes", "add_points", "farthest_around", "in_bands"]
 
 Array = NDArray[np.float32]
 Doubles = NDArray[np.float64]
@@ -162,17 +162,19 @@ def in_bands(
     Within a band they keep their order. A band's pixels stay in the cache while its points are rendered.
     """
     bands = (width + band_columns - 1) // band_columns
-    begins = np.zeros(bands + 1, np.int64)
+    begins, band_of = np.zeros(bands + 1, np.int64), np.empty(points.shape[0], np.int32)
     for point in range(points.shape[0]):
+        band_of[point] = -1
         if points[point, 3] < limit:
-            begins[_band(points[point, 0], reach_u, width, band_columns, bands) + 1] += 1
+            band_of[point] = _band(points[point, 0], reach_u, width, band_columns, bands)
+            begins[band_of[point] + 1] += 1
     for band in range(bands):
         begins[band + 1] += begins[band]
     free = begins.copy()
     ordered = np.empty((begins[bands], 4), np.float32)
     for point in range(points.shape[0]):
-        if points[point, 3] < limit:
-            band = _band(points[point, 0], reach_u, width, band_columns, bands)
+        band = band_of[point]
+        if band >= 0:
             for column in range(4):
                 ordered[free[band], column] = points[point, column]
             free[band] += 1
@@ -183,19 +185,6 @@ def in_bands(
 def _band(drawn_u: float, reach_u: float, width: int, band_columns: int, bands: int) -> int:
     u = drawn_u * (width + 2.0 * reach_u) - (reach_u + 0.5)
     return int(min(u / band_columns, bands - 1.0)) if u > 0.0 else 0  # nan: the first one
-
-
-@jit
-def transposed(values: Array) -> Array:
-    """A map ``(H, W)`` as ``(W, H)``, by blocks that stay in the cache."""
-    height, width = values.shape
-    out = np.empty((width, height), np.float32)
-    for top in range(0, height, 32):
-        for left in range(0, width, 32):
-            for column in range(left, min(left + 32, width)):
-                for row in range(top, min(top + 32, height)):
-                    out[column, row] = values[row, column]
-    return out
 
 
 class _Marks(NamedTuple):
