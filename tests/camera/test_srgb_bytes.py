@@ -23,7 +23,8 @@ def test_levels_are_the_nearest_of_the_transfer_function() -> None:
     off = np.abs(bytes_of_light(light).numpy() - 255.0 * display)
     # The two pieces of the curve meet within 3e-8, and 1e-6 of a level is the rounding of the reference.
     assert off.max() <= 0.5 + 1e-5
-    assert bytes_of_light(torch.tensor([-1.0, 0.0, 1.0, 7.0])).tolist() == [0, 0, 255, 255]
+    edges = torch.tensor([-torch.inf, -1.0, 0.0, 1.0, 7.0, torch.inf])
+    assert bytes_of_light(edges).tolist() == [0, 0, 0, 255, 255, 255]
 
 
 def test_levels_begin_at_their_limits_to_the_last_bit() -> None:

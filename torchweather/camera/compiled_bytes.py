@@ -36,8 +36,8 @@ def find_levels(
         begins: of each range, where the next level begins.
     """
     ranges = np.float32(level.size - 1)
-    zero = np.float32(0)
+    zero, last = np.float32(0), np.uint32(level.size - 1)
     for at in range(linear.size):
         value = linear[at]
         place = np.uint32(min(max(value * ranges, zero), ranges))
-        out[at] = level[place] + (1 if value >= begins[place] else 0)
+        out[at] = level[place] + (1 if value >= begins[place] and place < last else 0)  # infinity begins nothing
