@@ -24,8 +24,9 @@ LOWEST, HIGHEST = np.float32(-87.0), np.float32(88.0)
 def log_of_sum(one: np.float32, x: np.float32) -> np.float32:
     """``ln(one + x)`` for one of 0 or 1 and x >= 0; small x beside 1 keep their digits."""
     bits = np.float32(one + x).view(np.int32)
-    exponent = (bits - ROOT_BITS) >> np.int32(23)
-    mantissa = np.int32(bits - (exponent << np.int32(23))).view(np.float32)
+    # Each step back to 32 bits: numba takes them to 64, half as many at once.
+    exponent = np.int32(np.int32(bits - ROOT_BITS) >> np.int32(23))
+    mantissa = np.int32(bits - np.int32(exponent << np.int32(23))).view(np.float32)
     f = x if exponent == 0 and one == ONE else mantissa - ONE
     s = f / (TWO + f)
     z = s * s

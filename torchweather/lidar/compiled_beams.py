@@ -136,9 +136,9 @@ class Echoes(NamedTuple):
     """Echoes of a block of beams, the object first.
 
     Args:
-        range_m, signal, strength: ``(beams, echoes)``; strength is 0 of echoes that are not seen.
+        range_m, signal, strength: ``(echoes, BLOCK)``; strength is 0 of echoes that are not seen.
         number: ``(beams,)`` echoes of each.
-        chosen: ``(beams, 2)`` those that are reported, -1 for none.
+        chosen: ``(2, beams)`` those that are reported, -1 for none.
     """
 
     range_m: Array
@@ -149,34 +149,74 @@ class Echoes(NamedTuple):
 
 
 @jit
-def _clear_signal(
-    given: np.float32, range_m: np.float32, uniform: np.float32, zero_intensity: np.float32, receiver: Receiver
-) -> np.float32:
-    """Signal of an object in clear air, as ``ToEnergy``."""
-    if given == ZERO:
-        given = zero_intensity
-    square_m2 = max(PI * (range_m * range_m), receiver.least_range_m2)
-    ramp = (range_m - receiver.near_start_m) / (receiver.near_full_m - receiver.near_start_m)
-    ramp = min(max(ramp, ZERO), ONE)
-    if receiver.unit == PHOTONS:
-        signal = given * (receiver.threshold / receiver.photons_at_threshold)
+def _clear_signals(
+    clear: Array, points: Array, range_m: Array, uniform: Array, zero_intensity: np.float32, receiver: Receiver
+) -> None:
+    """Write the signals of a block of objects in clear air, as ``ToEnergy``; 0 of beams without one.
+
+    One loop a step, each without branches and on few arrays: so the processor takes several beams at once.
+
+    Args:
+        clear: ``(beams,)``, written.
+        points, range_m: of the block.
+        uniform: of the margin.
+        zero_intensity: what an intensity of 0 stands for.
+        receiver: the sensor.
+    """
+    count = clear.size
+    spare = np.empty((3, BLOCK), np.float32)
+    value, ramp, margin = spare[0], spare[1], spare[2]
+    unit, threshold, mean = receiver.unit, receiver.threshold, receiver.mean_margin
+    start_m, width_m = receiver.near_start_m, receiver.near_full_m - receiver.near_start_m
+    least_m2, least_ramp, full, power = (
+        receiver.least_range_m2,
+        receiver.least_ramp,
+        receiver.full_signal,
+        receiver.near_power,
+    )
+    for at in range(count):
+        given = points[at, 3]
+        value[at] = zero_intensity if given == ZERO else given
+    nearest_m = INFINITE
+    for at in range(count):
+        nearest_m = min(nearest_m, range_m[at] if range_m[at] > ZERO else INFINITE)
+        ramp[at] = min(max((range_m[at] - start_m) / width_m, ZERO), ONE)
+    if unit == PHOTONS:
+        factor = threshold / receiver.photons_at_threshold
+        for at in range(count):
+            value[at] *= factor
+    elif unit == NONE:
+        for at in range(count):
+            value[at] = receiver.assumed
     else:
-        if receiver.unit == NONE:
-            reflectivity = receiver.assumed
-        elif receiver.unit == CALIBRATED and given > HUNDRED:
-            reflectivity = exp_of((min(given, FULL_8_BITS) - HUNDRED) * receiver.log_step)
-        else:
-            reflectivity = given / receiver.white
-        response = ramp
-        if ramp < ONE and receiver.near_power != ONE:
-            response = np.float32(ramp**receiver.near_power) if ramp > ZERO else ZERO
-        signal = reflectivity * response / square_m2
-    drawn = -log_of_sum(ZERO, ONE - uniform)
-    margin = receiver.mean_margin * drawn
-    if ramp < ONE:
-        end = max(log_of_sum(ZERO, receiver.full_signal / square_m2 / receiver.threshold), ZERO)
-        margin = min(receiver.mean_margin / max(ramp, receiver.least_ramp) * drawn, max(end, margin))
-    return max(signal, receiver.threshold * exp_of(margin))
+        white, log_step = receiver.white, receiver.log_step
+        for at in range(count):
+            given = value[at]
+            of_scale = given / white
+            if unit == CALIBRATED and given > HUNDRED:
+                of_scale = exp_of((min(given, FULL_8_BITS) - HUNDRED) * log_step)
+            value[at] = of_scale
+    if unit != PHOTONS:
+        for at in range(count):
+            response = ramp[at]
+            if power != ONE and response < ONE:
+                response = np.float32(response**power) if response > ZERO else ZERO
+            margin[at] = response
+        for at in range(count):
+            value[at] = value[at] * margin[at] / max(PI * (range_m[at] * range_m[at]), least_m2)
+    for at in range(count):
+        margin[at] = mean * -log_of_sum(ZERO, ONE - uniform[at])
+    if nearest_m < receiver.near_full_m:
+        for at in range(count):
+            if ramp[at] < ONE:
+                drawn = -log_of_sum(ZERO, ONE - uniform[at])
+                square_m2 = max(PI * (range_m[at] * range_m[at]), least_m2)
+                end = max(log_of_sum(ZERO, full / square_m2 / threshold), ZERO)
+                margin[at] = min(mean / max(ramp[at], least_ramp) * drawn, max(end, margin[at]))
+    for at in range(count):
+        margin[at] = threshold * exp_of(margin[at])
+    for at in range(count):
+        clear[at] = max(value[at], margin[at]) if range_m[at] > ZERO else ZERO
 
 
 @jit
@@ -184,17 +224,16 @@ def _add_objects(
     echoes: Echoes, clear_signal: Array, cloud: Cloud, margin: Array, receiver: Receiver, first: int
 ) -> None:
     """Begin the lists of a block of beams with their objects, as ``ToEnergy`` and ``Extinction``."""
+    count = echoes.number.size
     twice = np.float32(-2) * cloud.extinction_per_m
-    points, range_m, zero = cloud.points, cloud.range_m, cloud.zero_intensity
-    ranges, signals, counts = echoes.range_m, echoes.signal, echoes.number
-    for at in range(counts.size):
-        beam = first + at
-        clear_m, signal = range_m[beam], ZERO
-        ranges[at, 0], signals[at, 0], counts[at] = clear_m, ZERO, 1
-        if clear_m > ZERO:
-            signal = _clear_signal(points[beam, 3], clear_m, margin[beam], zero, receiver)
-            signals[at, 0] = signal * exp_of(twice * clear_m) if twice < ZERO else signal
-        clear_signal[beam] = signal
+    last = first + count
+    ranges, signals, clear = echoes.range_m[0], echoes.signal[0], clear_signal[first:last]
+    range_m, number = cloud.range_m[first:last], echoes.number
+    _clear_signals(clear, cloud.points[first:last], range_m, margin[first:last], cloud.zero_intensity, receiver)
+    for at in range(count):
+        ranges[at], number[at] = range_m[at], 1
+    for at in range(count):
+        signals[at] = clear[at] * exp_of(twice * range_m[at]) if twice < ZERO else clear[at]
 
 
 @jit
@@ -202,8 +241,8 @@ def _strongest(strength: Array, at: int, count: int) -> int:
     """The first of the strongest echoes; -1 where none is seen."""
     found, best = -1, ZERO
     for echo in range(count):
-        if strength[at, echo] > best:
-            found, best = echo, strength[at, echo]
+        if strength[echo, at] > best:
+            found, best = echo, strength[echo, at]
     return found
 
 
@@ -212,19 +251,19 @@ def _end(range_m: Array, strength: Array, at: int, count: int, apart_m: np.float
     """The first or the last echo, of those that are not part of a stronger one; -1 where none is seen."""
     found = -1
     for echo in range(count):
-        if not strength[at, echo] > ZERO:
+        if not strength[echo, at] > ZERO:
             continue
         absorbed = False
         for other in range(count):
-            if other == echo or not abs(range_m[at, other] - range_m[at, echo]) < apart_m:
+            if other == echo or not abs(range_m[other, at] - range_m[echo, at]) < apart_m:
                 continue
             # Of two equal echoes the earlier in the list counts as the stronger.
-            ahead = strength[at, other] - strength[at, echo]
+            ahead = strength[other, at] - strength[echo, at]
             if ahead > ZERO or (other < echo and ahead == ZERO):
                 absorbed = True
         if absorbed:
             continue
-        if found < 0 or (range_m[at, echo] < range_m[at, found]) == is_first:
+        if found < 0 or (range_m[echo, at] < range_m[found, at]) == is_first:
             found = echo
     return found
 
@@ -234,24 +273,35 @@ def _choose(echoes: Echoes, clear_m: Array, receiver: Receiver, first: int) -> N
     """Choose the reported echoes of a block of beams, as ``Detection``."""
     strength, range_m = echoes.strength, echoes.range_m
     signals, counts, chosen = echoes.signal, echoes.number, echoes.chosen
-    for at in range(counts.size):
-        count = counts[at]
-        for echo in range(count):
-            signal = signals[at, echo]
-            strength[at, echo] = signal if signal >= receiver.threshold else ZERO
+    beams, threshold, nearest_m = counts.size, receiver.threshold, receiver.nearest_m
+    own_m, best, found = clear_m[first : first + beams], strength[0], chosen[0]
+    for at in range(beams):
+        signal = signals[0, at]
         # Nothing lies in front of an object that near; one without any signal was taken away.
-        own_m = clear_m[first + at]
-        if own_m > ZERO and own_m < receiver.nearest_m and signals[at, 0] > ZERO:
-            strength[at, 0] = INFINITE
+        near = own_m[at] > ZERO and own_m[at] < nearest_m and signal > ZERO
+        best[at] = INFINITE if near else (signal if signal >= threshold else ZERO)
+        found[at] = 0 if best[at] > ZERO else -1
+    if receiver.mode == 0:
+        for at in range(beams):
+            for echo in range(1, counts[at]):
+                signal = signals[echo, at]
+                if signal >= threshold and signal > best[at]:
+                    best[at], found[at] = signal, echo
+        return
+    for at in range(beams):
+        count = counts[at]
+        for echo in range(1, count):
+            signal = signals[echo, at]
+            strength[echo, at] = signal if signal >= threshold else ZERO
         strongest = _strongest(strength, at, count)
         end = strongest
-        if receiver.mode > 0 and count > 1:
+        if count > 1:
             end = _end(range_m, strength, at, count, receiver.apart_m, receiver.mode == 1)
-        chosen[at, 0] = strongest if receiver.mode == 3 else end
+        chosen[0, at] = strongest if receiver.mode == 3 else end
         if receiver.mode == 3:
             # One echo is reported once: a beam whose strongest echo is its last has no second return.
-            again = end >= 0 and range_m[at, end] == range_m[at, strongest]
-            chosen[at, 1] = -1 if again else end
+            again = end >= 0 and range_m[end, at] == range_m[strongest, at]
+            chosen[1, at] = -1 if again else end
 
 
 @jit
@@ -301,40 +351,57 @@ def _report(
     out: Out, points: Array, echoes: Echoes, noise: Array, cloud: Cloud, receiver: Receiver, number: int, first: int
 ) -> None:
     """Write one of the reported echoes of a block of beams and its points, as ``ToPoints``."""
-    given, is_integral = cloud.points, bool(cloud.integral > ZERO)
-    columns = given.shape[1]
-    cloud_m, direction, borrowed, clear_signal = cloud.range_m, cloud.direction, cloud.borrowed, out.clear_signal
-    kinds, ranges, signals = out.kind, out.range_m, out.signal
-    chosen, echo_m, echo_signal = echoes.chosen, echoes.range_m, echoes.signal
-    for at in range(echoes.number.size):
-        beam, echo = first + at, chosen[at, number]
-        label, range_m, signal, clear_m = LOST, ZERO, ZERO, cloud_m[beam]
-        if echo >= 0:
-            label = OBJECT if echo == 0 else PARTICLE
-            range_m, signal = echo_m[at, echo], echo_signal[at, echo]
-        kinds[beam, number], ranges[beam, number], signals[beam, number] = label, range_m, signal
-        for column in range(columns):
-            points[beam, column] = given[beam, column]
-        if label == LOST:
+    beams, columns = echoes.number.size, cloud.points.shape[1]
+    last = first + beams
+    given, written, cloud_m = cloud.points[first:last], points[first:last], cloud.range_m[first:last]
+    kinds, ranges, signals = out.kind[first:last], out.range_m[first:last], out.signal[first:last]
+    chosen, echo_m, echo_signal, clear_signal = (
+        echoes.chosen[number],
+        echoes.range_m,
+        echoes.signal,
+        out.clear_signal[first:last],
+    )
+    is_integral, unit = bool(cloud.integral > ZERO), receiver.unit
+    direction, borrowed = cloud.direction, cloud.borrowed
+    from_rows, to_rows = given.reshape(beams * columns), written.reshape(beams * columns)
+    for place in range(beams * columns):
+        to_rows[place] = from_rows[place]
+    others, changed = 0, np.empty(BLOCK, np.int32)
+    gain = np.empty(BLOCK, np.float32)
+    for at in range(beams):
+        echo = chosen[at]
+        seen = max(echo, 0)
+        ranges[at, number] = echo_m[seen, at] if echo >= 0 else ZERO
+        signals[at, number] = echo_signal[seen, at] if echo >= 0 else ZERO
+        kinds[at, number] = LOST if echo < 0 else (OBJECT if echo == 0 else PARTICLE)
+        changed[others] = at
+        others += 1 if echo != 0 else 0
+    if unit != NONE:
+        for at in range(beams):
+            gain[at] = echo_signal[0, at] / clear_signal[at]
+        for at in range(beams):
+            if chosen[at] == 0:
+                written[at, 3] = _dimmed(given[at, 3], gain[at], is_integral, receiver)
+    for place in range(others):
+        at = changed[place]
+        beam, echo, clear_m = first + at, chosen[at], cloud_m[at]
+        if echo < 0:
             # A beam that was empty and stayed so keeps what it came with.
             for column in range(4 if clear_m > ZERO else 0):
-                points[beam, column] = ZERO
+                written[at, column] = ZERO
             continue
-        if label == OBJECT:
-            gain = signal / clear_signal[beam]
-            points[beam, 3] = _dimmed(given[beam, 3], gain, is_integral, receiver)
-            continue
+        range_m, signal = echo_m[echo, at], echo_signal[echo, at]
         if receiver.range_noise_m > ZERO:
             range_m = max(range_m + receiver.range_noise_m * noise[number, beam], ZERO)
         if receiver.range_step_m > ZERO:
             range_m = np.rint(range_m / receiver.range_step_m) * receiver.range_step_m
         scale = range_m / clear_m if clear_m > ZERO else range_m
         for column in range(3):
-            points[beam, column] = (given[beam, column] if clear_m > ZERO else direction[beam, column]) * scale
+            written[at, column] = (given[at, column] if clear_m > ZERO else direction[beam, column]) * scale
         if borrowed.size > 0:
-            points[beam, 3] = borrowed[beam]
+            written[at, 3] = borrowed[beam]
         else:
-            points[beam, 3] = _of_particle(signal, range_m, is_integral, receiver)
+            written[at, 3] = _of_particle(signal, range_m, is_integral, receiver)
 
 
 @jit
@@ -359,12 +426,12 @@ def weather_beams(
         first, last: beams.
     """
     most = 1 + first_part.arrival.shape[0] + second_part.arrival.shape[0] + third_part.arrival.shape[0]
-    maps = np.empty((3, BLOCK, most), np.float32)
-    counts, chosen = np.empty(BLOCK, np.int32), np.empty((BLOCK, 2), np.int32)
+    maps = np.empty((3, most, BLOCK), np.float32)
+    counts, chosen = np.empty(BLOCK, np.int32), np.empty((2, BLOCK), np.int32)
     no_density = np.empty(0, np.float32)
     for begin in range(first, last, BLOCK):
         some = min(BLOCK, last - begin)
-        echoes = Echoes(maps[0, :some], maps[1, :some], maps[2, :some], counts[:some], chosen[:some])
+        echoes = Echoes(maps[0], maps[1], maps[2], counts[:some], chosen)
         _add_objects(echoes, out.clear_signal, cloud, drawn.margin, receiver, begin)
         for part in (first_part, second_part, third_part):
             write_echoes(

@@ -41,13 +41,13 @@ def choose_echoes(
         receiver: the sensor; its own threshold is not looked at.
     """
     count, beams = signal.shape
-    ranges, strengths = np.empty((1, count), np.float32), np.empty((1, count), np.float32)
+    ranges, strengths = np.empty((count, 1), np.float32), np.empty((count, 1), np.float32)
     for beam in range(beams):
         least, own_m = threshold[beam if threshold.size > 1 else 0], clear_m[beam]
         for echo in range(count):
             value = signal[echo, beam]
-            strengths[0, echo] = value if value >= least else ZERO
-            ranges[0, echo] = range_m[echo, beam]
+            strengths[echo, 0] = value if value >= least else ZERO
+            ranges[echo, 0] = range_m[echo, beam]
         # Nothing lies in front of an object that near; one without any signal was taken away.
         if own_m > ZERO and own_m < receiver.nearest_m and signal[0, beam] > ZERO:
             strengths[0, 0] = INFINITE
@@ -57,9 +57,9 @@ def choose_echoes(
             end = _end(ranges, strengths, 0, count, receiver.apart_m, receiver.mode == 1)
         for number in range(found_m.shape[0]):
             chosen = strongest if receiver.mode == DUAL and number == 0 else end
-            if number == 1 and end >= 0 and ranges[0, end] == ranges[0, strongest]:
+            if number == 1 and end >= 0 and ranges[end, 0] == ranges[strongest, 0]:
                 chosen = -1  # one echo is reported once
-            found_m[number, beam] = ranges[0, chosen] if chosen >= 0 else ZERO
+            found_m[number, beam] = ranges[chosen, 0] if chosen >= 0 else ZERO
             found_signal[number, beam] = signal[chosen, beam] if chosen >= 0 else ZERO
             found_kind[number, beam] = kind[chosen, beam] if chosen >= 0 else LOST
 

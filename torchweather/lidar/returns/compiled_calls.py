@@ -118,7 +118,7 @@ def compiled_echoes(
         else:
             own = part_of(part, beam, table.of_sample(sample), *variates, least, densest)
         dense = of_beams[min(sample, len(of_beams) - 1)] if len(of_beams) else NO_ROW
-        written = ranges[sample].numpy().T, signals[sample].numpy().T, counts[sample]
+        written = ranges[sample].numpy(), signals[sample].numpy(), counts[sample]
         call = partial(write_echoes, *written, reach[sample], dense, own, is_counted, low)
         tasks += [partial(call, first, last, 0) for first, last in pairwise(edges)]
     side_by_side(tasks)

@@ -20,6 +20,7 @@ Array = NDArray[np.float32]
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 THINNEST = np.float32(1e-6)  # density of a beam, at least
+STAGE, SPARE = 512, 12  # beams whose numbers stay in the cache, and how many numbers of each
 
 
 class Part(NamedTuple):
@@ -62,12 +63,6 @@ def _between(low: np.float32, high: np.float32, share: np.float32) -> np.float32
 
 
 @jit
-def _node(position: np.float32, nodes: int) -> int:
-    """Node at or below a place, such that there is one after it."""
-    return min(max(int(np.floor(position)), 0), nodes - 2)
-
-
-@jit
 def write_echoes(
     range_m: Array,
     signal: Array,
@@ -84,7 +79,7 @@ def write_echoes(
     """Add the echoes of some beams to their lists.
 
     Args:
-        range_m, signal: ``(beams, echoes)``, written.
+        range_m, signal: ``(echoes, beams)``, written.
         counts: ``(beams,)`` echoes that each list holds, raised.
         reach_m: ``(N,)`` up to which particles count.
         density: ``(N,)`` of each beam over that of the weather; ``(0,)`` is 1.
@@ -96,46 +91,99 @@ def write_echoes(
     """
     # Taken out of the tuple here: that costs as much as an echo.
     arrivals, places, row_of, share_of, place_of = part.arrival, part.at, part.signal, part.share, part.place
-    last_node, last_arrival = np.float32(part.nodes - 1), np.float32(part.arrivals - 1)
+    never, near_m, scale_m, photon_signal = part.never, part.near_m, part.scale_m, part.photon_signal
+    late_scale, late_shift, position_scale, stretch = (
+        part.late_scale,
+        part.late_shift,
+        part.position_scale,
+        part.stretch,
+    )
+    nodes, late_nodes, cells, rows = part.nodes, part.arrivals, part.places, part.signals
+    low, step = part.low, part.step
+    last_node, last_arrival, last_cell = np.float32(nodes - 1), np.float32(late_nodes - 1), np.float32(cells - 1)
+    last_column, last_early = np.int32(nodes - 2), np.int32(late_nodes - 2)
     has_density = density.size > 0
-    for beam in range(first, last if arrivals.shape[0] > 0 else first):
-        far_m = reach_m[beam]
-        if arrivals[0, beam] >= part.never or not far_m > part.near_m:
-            continue
-        own = density[beam] if has_density else ONE
-        position = log_of_sum(ONE, (far_m - part.near_m) / part.scale_m) * part.position_scale
-        position = min(position, last_node)
-        column = _node(position, part.nodes)
-        beyond, arrived, at = position - np.float32(column), ZERO, beam - origin
-        count = counts[at]
+    spare, whole = np.empty((SPARE, STAGE), np.float32), np.empty((3, STAGE), np.int32)
+    position, beyond, arrived, late, row, found = spare[0], spare[1], spare[2], spare[3], spare[4], spare[5]
+    far_m, own, v_1, v_2, v_3, v_4 = spare[6], spare[7], spare[8], spare[9], spare[10], spare[11]
+    beam_of, column, early = whole[0], whole[1], whole[2]
+    for begin in range(first, last if arrivals.shape[0] > 0 else first, STAGE):
+        count, end = 0, min(begin + STAGE, last)
+        for beam in range(begin, end):
+            beam_of[count], far_m[count], own[count] = beam, reach_m[beam], density[beam] if has_density else ONE
+            arrived[count] = ZERO
+            count += 1 if arrivals[0, beam] < never and reach_m[beam] > near_m else 0
+        for at in range(count):
+            place = log_of_sum(ONE, (far_m[at] - near_m) / scale_m) * position_scale
+            position[at] = min(place, last_node)
+        for at in range(count):
+            column[at] = min(max(np.int32(position[at]), np.int32(0)), last_column)
+            beyond[at] = position[at] - np.float32(column[at])
         for echo in range(arrivals.shape[0]):
-            arrived -= log_of_sum(ZERO, ONE - arrivals[echo, beam])
-            reached = arrived / max(own, THINNEST) if has_density and is_counted else arrived
-            late = log_of_sum(ZERO, reached) * part.late_scale - part.late_shift if reached > ZERO else ZERO
-            late = min(max(late, ZERO), last_arrival)
-            early = _node(late, part.arrivals)
-            share, index = late - np.float32(early), column * part.arrivals + early
-            here = _between(row_of[index], row_of[index + 1], share)
-            index += part.arrivals
-            row = _between(here, _between(row_of[index], row_of[index + 1], share), beyond)
-            if not row > ZERO:
+            if count == 0:
                 break
-            along = part.low + part.step * row
-            found = along * along * part.photon_signal if part.photon_signal > ZERO else exp_of(along)
-            if not is_counted:
-                found *= own
-            if found < faintest:
-                break
-            node = _node(row, part.signals)
-            index = node * part.nodes + column
-            before = _between(share_of[index], share_of[index + 1], beyond) * places[echo, beam]
-            before = min(max(before, ZERO), ONE)
-            v = np.sqrt(before / (ONE + np.sqrt(ONE - before))) * np.float32(part.places - 1)
-            cell = _node(v, part.places)
-            index = node * part.places + cell
-            place = min(_between(place_of[index], place_of[index + 1], v - np.float32(cell)), position)
-            grown = exp_of(place * part.stretch) - ONE
-            range_m[at, count] = min(part.near_m + part.scale_m * grown, far_m)
-            signal[at, count] = found
-            count += 1
-        counts[at] = count
+            for at in range(count):
+                v_1[at] = ONE - arrivals[echo, beam_of[at]]
+            for at in range(count):
+                arrived[at] -= log_of_sum(ZERO, v_1[at])
+            for at in range(count):
+                late[at] = arrived[at] / max(own[at], THINNEST) if has_density and is_counted else arrived[at]
+            for at in range(count):
+                reached = late[at]
+                place = log_of_sum(ZERO, reached) * late_scale - late_shift
+                late[at] = min(max(place if reached > ZERO else ZERO, ZERO), last_arrival)
+            for at in range(count):
+                early[at] = min(np.int32(late[at]), last_early)
+                late[at] -= np.float32(early[at])
+            for at in range(count):
+                index = np.uintp(column[at]) * np.uintp(late_nodes) + np.uintp(early[at])
+                v_1[at], v_2[at] = row_of[index], row_of[index + np.uintp(1)]
+                index += np.uintp(late_nodes)
+                v_3[at], v_4[at] = row_of[index], row_of[index + np.uintp(1)]
+            for at in range(count):
+                here = _between(v_1[at], v_2[at], late[at])
+                row[at] = _between(here, _between(v_3[at], v_4[at], late[at]), beyond[at])
+            if photon_signal > ZERO:
+                for at in range(count):
+                    along = low + step * row[at]
+                    found[at] = along * along * photon_signal
+            else:
+                for at in range(count):
+                    found[at] = exp_of(low + step * row[at])
+            if has_density and not is_counted:
+                for at in range(count):
+                    found[at] *= own[at]
+            left = 0
+            for at in range(count):
+                beam_of[left], column[left], beyond[left], position[left] = (
+                    beam_of[at],
+                    column[at],
+                    beyond[at],
+                    position[at],
+                )
+                far_m[left], own[left], arrived[left] = far_m[at], own[at], arrived[at]
+                row[left], found[left] = row[at], found[at]
+                left += 1 if row[at] > ZERO and found[at] >= faintest else 0
+            count = left
+            for at in range(count):
+                early[at] = min(np.int32(row[at]), np.int32(rows - 2))
+            for at in range(count):
+                index = np.uintp(early[at]) * np.uintp(nodes) + np.uintp(column[at])
+                v_1[at], v_2[at] = share_of[index], share_of[index + np.uintp(1)]
+                v_3[at] = places[echo, beam_of[at]]
+            for at in range(count):
+                before = min(max(_between(v_1[at], v_2[at], beyond[at]) * v_3[at], ZERO), ONE)
+                late[at] = np.sqrt(before / (ONE + np.sqrt(ONE - before))) * last_cell
+            for at in range(count):
+                cell = min(np.int32(late[at]), np.int32(cells - 2))
+                late[at] -= np.float32(cell)
+                index = np.uintp(early[at]) * np.uintp(cells) + np.uintp(cell)
+                v_1[at], v_2[at] = place_of[index], place_of[index + np.uintp(1)]
+            for at in range(count):
+                place = min(_between(v_1[at], v_2[at], late[at]), position[at])
+                v_3[at] = min(near_m + scale_m * (exp_of(place * stretch) - ONE), far_m[at])
+            for at in range(count):
+                list_of = beam_of[at] - origin
+                number = counts[list_of]
+                range_m[number, list_of], signal[number, list_of] = v_3[at], found[at]
+                counts[list_of] = number + 1
