@@ -67,15 +67,30 @@ def test_threads_change_nothing() -> None:
     assert np.array_equal(together[1], draw_variates([9], "stage", [big], SIZES)["stage.noise"][0])
 
 
+@pytest.mark.parametrize("law", ["uniform", "normal"])
 @pytest.mark.parametrize("count", [4096, 8197, 65_536])
-def test_compiled_uniforms_are_the_bits_of_numpy(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_numbers_are_the_bits_of_numpy(count: int, law: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")  # loaded, which a draw alone does not do
-    variate = Variate("u", "uniform", (2, "N"))
+    variate = Variate("u", law, (2, "N"))
     found = {}
     for switch in ("1", "0"):
         monkeypatch.setenv(SWITCH, switch)
         found[switch] = draw_variates([3, -(2**62)], "stage", [variate], {"N": count})["stage.u"]
     assert np.array_equal(found["1"], found["0"])
+
+
+def test_compiled_normals_of_the_tail_are_the_bits_of_numpy() -> None:
+    pytest.importorskip("numba")
+    from torchweather.core.compiled_philox import draw_standard_normals, ziggurat
+
+    tables = ziggurat()
+    assert tables is not None, "numpy's normals are drawn otherwise here; they are then left to numpy"
+    found = np.empty(2_000_000, np.float32)
+    draw_standard_normals(found, np.uint64(11), np.uint64(2**64 - 3), tables)
+    numpys = np.random.Generator(np.random.Philox(key=np.array([11, 2**64 - 3], np.uint64)))
+    drawn = numpys.standard_normal(found.size, dtype=np.float32)
+    assert np.array_equal(found, drawn)
+    assert (np.abs(drawn) > tables.tail).sum() > 400  # 500 are expected: 4.5 standard deviations
 
 
 @pytest.mark.parametrize(

@@ -60,11 +60,18 @@ def uncontracted(function: F) -> F:
 
 @lru_cache
 def _numba() -> Any:
-    """The package. The garbage collector waits: it would go through all of torch again and again, 0.1 s of CPU."""
+    """The package, with its lists of functions, which its first call would read.
+
+    The garbage collector waits: it would go through all of torch again and again, 0.2 s of CPU.
+    """
     was_enabled = gc.isenabled()
     gc.disable()
     try:
         import numba
+        from numba.core.registry import cpu_target
+
+        cpu_target.typing_context.refresh()
+        cpu_target.target_context.refresh()
     finally:
         if was_enabled:
             gc.enable()

@@ -212,7 +212,7 @@ def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], ou
     if variate.law == "uniform":
         _fill_uniforms(seed, stream, out)
     elif variate.law == "normal":
-        keyed_stream(seed, stream).standard_normal(out=out, dtype=np.float32)
+        _fill_standard_normals(seed, stream, out)
     elif variate.law == "tabulated_normal":
         _fill_normals(keyed_stream(seed, stream), out)
     elif variate.law == "exponential":
@@ -232,12 +232,28 @@ def _fill(seed: int, stream: str, variate: Variate, sizes: Mapping[str, int], ou
 
 
 def _fill_uniforms(seed: int, stream: str, out: NDArray[np.float32]) -> None:
-    if out.size >= COMPILED_FROM and sys.byteorder == "little" and _has_loops():
+    if _pays_loops(out):
         from torchweather.core.compiled_philox import draw_uniforms
 
         draw_uniforms(out.reshape(-1), *_key(seed, stream))
     else:
         keyed_stream(seed, stream).random(out=out, dtype=np.float32)
+
+
+def _fill_standard_normals(seed: int, stream: str, out: NDArray[np.float32]) -> None:
+    if _pays_loops(out):
+        from torchweather.core.compiled_philox import draw_standard_normals, ziggurat
+
+        tables = ziggurat()
+        if tables is not None:
+            draw_standard_normals(out.reshape(-1), *_key(seed, stream), tables)
+            return
+    keyed_stream(seed, stream).standard_normal(out=out, dtype=np.float32)
+
+
+def _pays_loops(out: NDArray[np.float32]) -> bool:
+    """True where compiled loops draw such an array, and in less time than numpy."""
+    return out.size >= COMPILED_FROM and sys.byteorder == "little" and _has_loops()
 
 
 def _has_loops() -> bool:

@@ -367,7 +367,8 @@ def _report(
     for place in range(beams * columns):
         to_rows[place] = from_rows[place]
     others, changed = 0, np.empty(BLOCK, np.int32)
-    gain = np.empty(BLOCK, np.float32)
+    spare = np.empty((2, BLOCK), np.float32)
+    gain, value = spare[0], spare[1]
     for at in range(beams):
         echo = chosen[at]
         seen = max(echo, 0)
@@ -378,10 +379,22 @@ def _report(
         others += 1 if echo != 0 else 0
     if unit != NONE:
         for at in range(beams):
-            gain[at] = echo_signal[0, at] / clear_signal[at]
+            value[at] = given[at, 3]
         for at in range(beams):
-            if chosen[at] == 0:
-                written[at, 3] = _dimmed(given[at, 3], gain[at], is_integral, receiver)
+            gain[at] = echo_signal[0, at] / clear_signal[at]
+        if unit == CALIBRATED:
+            for at in range(beams):
+                gain[at] = _dimmed(value[at], gain[at], is_integral, receiver) if chosen[at] == 0 else ZERO
+        elif is_integral and unit != REFLECTIVITY:
+            most = FULL_8_BITS if unit >= LINEAR_8_BITS else INFINITE
+            for at in range(beams):
+                dimmed = min(np.floor((value[at] + HALF) * gain[at]), most)
+                gain[at] = value[at] if gain[at] == ONE else dimmed
+        else:
+            for at in range(beams):
+                gain[at] *= value[at]
+        for at in range(beams):
+            written[at, 3] = gain[at] if chosen[at] == 0 else value[at]
     for place in range(others):
         at = changed[place]
         beam, echo, clear_m = first + at, chosen[at], cloud_m[at]

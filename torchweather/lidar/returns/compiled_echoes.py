@@ -89,6 +89,8 @@ def write_echoes(
         first, last: beams.
         origin: beam of the first list.
     """
+    if part.arrival.shape[0] == 0:
+        return
     # Taken out of the tuple here: that costs as much as an echo.
     arrivals, places, row_of, share_of, place_of = part.arrival, part.at, part.signal, part.share, part.place
     never, near_m, scale_m, photon_signal = part.never, part.near_m, part.scale_m, part.photon_signal
@@ -107,7 +109,7 @@ def write_echoes(
     position, beyond, arrived, late, row, found = spare[0], spare[1], spare[2], spare[3], spare[4], spare[5]
     far_m, own, v_1, v_2, v_3, v_4 = spare[6], spare[7], spare[8], spare[9], spare[10], spare[11]
     beam_of, column, early = whole[0], whole[1], whole[2]
-    for begin in range(first, last if arrivals.shape[0] > 0 else first, STAGE):
+    for begin in range(first, last, STAGE):
         count, end = 0, min(begin + STAGE, last)
         for beam in range(begin, end):
             beam_of[count], far_m[count], own[count] = beam, reach_m[beam], density[beam] if has_density else ONE
