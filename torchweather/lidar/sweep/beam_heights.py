@@ -52,8 +52,11 @@ def beam_heights_m(
     heights = sensor.origin_heights_m
     if heights is None or not any(heights):
         return None
-    there = holds_return(points) if there is None else there
     values = sorted(set(heights))
+    no_ring = ring is None and sensor.ring_column is None
+    if no_ring and len(values) > 1 and are_plain(points) and (blocks := _blocks(sensor)) is not None:
+        return _by_loops(points, sensor, *blocks)
+    there = holds_return(points) if there is None else there
     if len(values) == 1:
         return torch.where(there, values[0], 0.0).to(points)
     if ring is None and sensor.ring_column is not None:
@@ -62,8 +65,6 @@ def beam_heights_m(
         of_ring = points.new_tensor(heights)
         known = there & (ring >= 0) & (ring < len(heights))
         return torch.where(known, of_ring[ring.clamp(0, len(heights) - 1)], 0.0)
-    if are_plain(points) and (blocks := _blocks(sensor)) is not None:
-        return _by_loops(points, sensor, *blocks)
     return _by_elevation(points, sensor, there)
 
 
@@ -97,7 +98,7 @@ def _by_loops(points: Tensor, sensor: Lidar, lower: Block, upper: Block) -> Tens
     rows = points.detach().reshape(-1, points.shape[-1]).contiguous()
     found = torch.empty(len(rows))
     if heights_of_rows(found.numpy(), rows.numpy(), lower, upper, np.float32(NEAR)):
-        unsure = found.isnan().nonzero()[:, 0]
+        unsure = torch.from_numpy(np.flatnonzero(np.isnan(found.numpy())))
         some = rows[unsure]
         found[unsure] = _by_elevation(some, sensor, holds_return(some))
     return found.reshape(points.shape[:-1])
