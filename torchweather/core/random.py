@@ -244,9 +244,9 @@ def _fill_standard_normals(seed: int, stream: str, out: NDArray[np.float32]) -> 
     if _pays_loops(out):
         from torchweather.core.compiled_philox import draw_standard_normals, ziggurat
 
-        tables = ziggurat()
+        key, tables = _key(seed, stream), ziggurat()
         if tables is not None:
-            draw_standard_normals(out.reshape(-1), *_key(seed, stream), tables)
+            draw_standard_normals(out.reshape(-1), key[0], key[1], tables)
             return
     keyed_stream(seed, stream).standard_normal(out=out, dtype=np.float32)
 

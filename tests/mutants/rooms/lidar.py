@@ -88,8 +88,8 @@ MUTANTS = (
         "compiled_echoes_in_the_mean_density",
         "compiled echoes arrive as often as the density of their beam says",
         "torchweather.lidar.returns.compiled_echoes",
-        "arrived / max(own, THINNEST) if has_density and is_counted else arrived",
-        "arrived",
+        "arrived[at] / max(own[at], THINNEST) if has_density and is_counted else arrived[at]",
+        "arrived[at]",
         ("tests/lidar/test_compiled_beams.py::test_echoes_in_the_air_of_effects_are_those_of_torch",),
     ),
     Mutant(
