@@ -1,4 +1,4 @@
-"""Test processes side by side share the cores; which tests render by torch, and which by compiled functions."""
+"""Test processes side by side share the cores; torch renders particles, but in tests of the compiled path."""
 
 from __future__ import annotations
 
@@ -17,13 +17,9 @@ from tests.long_cases import listed
 TESTS = Path(__file__).parent / "tests"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # read as numpy is loaded
 
-# Deliberate breaks of the sensors and records are of torch's path. Tests of what stands above the sensors, and of pages
-# and examples, run on the compiled one, as users do: a quarter less time for the searches for a gap of a LiDAR.
-# TORCHWEATHER_COMPILED runs every test on one path. The second variable tells workers what the first was.
-PATH = "TORCHWEATHER_COMPILED"
-PATH_OF_ALL = os.environ.setdefault("TORCHWEATHER_TESTS_COMPILED", os.environ.get(PATH, ""))
-ON_COMPILED = ("tests/gap/", "tests/test_docs", "tests/test_examples.py", "tests/test_against_recordings.py")
-os.environ.setdefault(PATH, "0")
+# Deliberate breaks and records are of torch's path. TORCHWEATHER_COMPILED=1 runs every test on the compiled one. From a
+# fresh clone that compiles in every worker: tests/gap took 247 processor seconds so, and 194 by torch.
+os.environ.setdefault("TORCHWEATHER_COMPILED", "0")
 
 # Compile each module once, not in every worker and every process that a test starts.
 sys.dont_write_bytecode = False
@@ -51,17 +47,10 @@ def _no_wait_for_the_disk() -> Iterator[None]:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Each test, its fixtures and its processes on the path of its room."""
-    os.environ[PATH] = PATH_OF_ALL or str(int(item.nodeid.startswith(ON_COMPILED)))
-    return (yield)
-
-
-@pytest.hookimpl(wrapper=True)
 def pytest_collect_file(file_path: Path) -> Generator[None, list[Any], list[Any]]:
     """A file of tests without a docstring's example is not looked through for them: a second a worker."""
     found = yield
-    if TESTS not in file_path.parents or ">>>" in file_path.read_text(encoding="utf-8"):
+    if TESTS not in file_path.parents or file_path.suffix != ".py" or ">>>" in file_path.read_text(encoding="utf-8"):
         return found
     return [one for one in found if not isinstance(one, DoctestModule)]
 

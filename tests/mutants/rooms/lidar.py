@@ -80,8 +80,8 @@ MUTANTS = (
         "compiled_echoes_of_one_arrival",
         "the next strongest particle arrives after the sum of two exponentials",
         "torchweather.lidar.returns.compiled_echoes",
-        "arrived -= log_of_sum",
-        "arrived = -log_of_sum",
+        "arrived[at] -= log_of_sum",
+        "arrived[at] = -log_of_sum",
         ("tests/lidar/test_compiled_beams.py::test_echoes_in_the_air_of_effects_are_those_of_torch",),
     ),
     Mutant(
