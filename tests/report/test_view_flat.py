@@ -141,9 +141,8 @@ def test_the_browser_marks_them_under_a_line(tmp_path: Path, width: int) -> None
         written(page, road(), SENSOR, with_flakes(road(), flakes))
         assert len(re.findall("<canvas", page.read_text(encoding="utf-8"))) == 3
         frames += f'<iframe src="{page.as_uri()}" width="{width}" height="{height}" style="border:0"></iframe>'
-    both = (
-        tmp_path / "both.html"
-    )  # side by side, each as wide as in a window of its own: a browser takes a second to start
+    # Side by side, each as wide as in a window of its own: a browser takes a second to start.
+    both = tmp_path / "both.html"
     both.write_text(f'<body style="margin:0;display:flex">{frames}</body>', encoding="utf-8")
     image = screenshot(both, tmp_path / "both.png", 2 * width, height).astype(int)
     colour = [int(BELOW_COLOUR[at : at + 2], 16) for at in (1, 3, 5)]

@@ -73,7 +73,7 @@ def test_one_event_at_an_unseen_place_departs_once() -> None:
     for part in LAYOUT.slices[:3]:
         everywhere[part] = 1.0 / np.sqrt(part.stop - part.start)  # as events go on each axis
     apart = whitening(everywhere)
-    # In square 3 / (1 + 0.9 + 0.9), of correlations that are shrunk by 0.1; 3 without them.
+    # Three axes that are alike but for the shrinkage count as one; without correlations they count as three.
     assert apart @ apart == pytest.approx(3.0 / (1.0 + 2.0 * (1.0 - METHOD.shrinkage)))
     alone = EventsAlongAxes(np.eye(LAYOUT.size), events.unseen)
     apart = Whitening.of(noise, {"snow": np.ones(LAYOUT.size)}, alone)(everywhere)

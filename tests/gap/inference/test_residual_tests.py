@@ -133,5 +133,5 @@ def test_bins_without_events_make_no_statistic_of_many_entries() -> None:
     left[1] = 3.0
     drawn = (RNG(5).normal(size=(400_000, 14)) ** 2 * level).sum(1)
     # Satterthwaite's law beside the drawn one, whose tail is that of its largest term: within a factor of two.
-    assert one.p_value(left) == pytest.approx((drawn >= 9.0).mean(), rel=1.0)
+    assert 0.5 < one.p_value(left) / (drawn >= 9.0).mean() < 2.0
     assert one.p_value(left) > 1e3 * chi2.sf(9.0 / level.mean(), 14)

@@ -26,8 +26,8 @@ def numbers_of_keys(keys: Tensor, population: Population, state: CameraState, ta
     """Normals of the streams of some keys ``(B, 2)``, ``(B, J, H, W)``, on their device; drawn there if it is no
     processor.
 
-    On the processor, rows that do not matter are 0: a shell that begins behind all that a row of the frame shows has
-    no part in it.
+    On the processor, rows of a shell that no pixel needs are 0. A row needs none of a shell that begins behind all that
+    the row shows.
 
     Args:
         keys: of each sample.

@@ -95,7 +95,7 @@ class InferenceConfig:
     well_may_be_sd: float = 2.0  # standard deviations of an estimated variance above it, where it is small
     quantiles: int = 2000  # of a distribution, over which a mean is taken
     most_unsure: float = 1.0  # relative variance of an estimated variance, up to which it is allowed for
-    least_level: float = 0.05  # expected mean square of a statistic, below which it is not taken
+    least_level: float = 0.05  # expected square of an entry, below which it is not taken
     log_spread_error: float = 0.03  # relative error of a modelled standard deviation
     # The same for particles whose range the model may misplace: the largest of several readings scatters less than
     # one, by as much as a receiver makes them independent (18 % were found).
