@@ -28,8 +28,9 @@ from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap import Study
 from torchweather.gap.find import MODELS
 from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.degrees_of_freedom import as_of_known_noise
 from torchweather.gap.inference.effect_forms import effect_class
-from torchweather.gap.inference.global_test import overdispersion, run_global_test
+from torchweather.gap.inference.global_test import run_global_test
 from torchweather.gap.inference.likelihood import SimulatorLikelihood
 from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.study.hidden import WEATHERS, hidden_study
@@ -90,9 +91,9 @@ def null_study(study: Study, templates: bool = True) -> NullStudy:
         return {str(name): float(values[statistic == name].sum()) for name in dict.fromkeys(statistic)}
 
     misfit_p = float(((noise**2).sum(1) >= (left**2).sum()).mean())
-    gain_p = (
-        float("nan") if alarm is None else float((alarm.best_null / overdispersion(search) >= alarm.gains.max()).mean())
-    )
+    gain_p = float("nan")
+    if alarm is not None:
+        gain_p = float((alarm.best_null >= as_of_known_noise(alarm.gains, alarm.degrees).max()).mean())
     return NullStudy(
         by_statistic(left**2), by_statistic(drawn), gain_p, misfit_p, float("nan") if alarm is None else alarm.p_value
     )

@@ -64,16 +64,20 @@ def base(mean: float = 0.5, whole: float = 1.0, **off: Floats) -> SimulatedDistr
     values = np.full(SIZE, mean)
     correlation = np.eye(SIZE) + 0.3 * (np.eye(SIZE, k=1) + np.eye(SIZE, k=-1))
     used = np.ones(SIZE, bool)
+    ones = dict.fromkeys(CONDITIONS, np.ones(SIZE))
     return SimulatedDistribution(
-        {name: values + off.get(name, np.zeros(SIZE)) for name in CONDITIONS},
-        {name: np.full(SIZE, SD) for name in CONDITIONS},
-        {name: np.full(SIZE, whole * SD) for name in CONDITIONS},
-        dict.fromkeys(CONDITIONS, used),
-        Whitening(np.linalg.cholesky(correlation)),
-        {name: np.tile(values, (4, 1)) for name in CONDITIONS},
-        {},
-        {},
-        dict.fromkeys(CONDITIONS, np.ones(SIZE)),
+        mean={name: values + off.get(name, np.zeros(SIZE)) for name in CONDITIONS},
+        sd={name: np.full(SIZE, SD) for name in CONDITIONS},
+        total={name: np.full(SIZE, whole * SD) for name in CONDITIONS},
+        used=dict.fromkeys(CONDITIONS, used),
+        whitening=Whitening(np.linalg.cholesky(correlation)),
+        draws={name: np.tile(values, (4, 1)) for name in CONDITIONS},
+        independent={},
+        shared={},
+        expected=ones,
+        event=ones,
+        degrees=ones,
+        told_by_clear=ones,
     )
 
 

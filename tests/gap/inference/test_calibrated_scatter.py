@@ -82,3 +82,37 @@ def test_what_the_clear_frames_do_not_tell_is_in_the_scatter() -> None:
     one = found["snow"]
     np.testing.assert_allclose(one.clear / one.own, FRAMES / CLEAR, rtol=1e-6)
     np.testing.assert_allclose(one.simulated / one.own, 0.0, atol=1e-6)
+
+
+def spreads(clear: int, seed: int, uneven: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Scatter of a spread in each bin over the true one, and its degrees of freedom: noise of a few clear frames.
+
+    Args:
+        clear: frames from which all others start.
+        seed: of everything.
+        uneven: scatter of the logarithm of what the elements' noise says of single bins.
+    """
+    rng = np.random.default_rng(seed)
+    layout = Layout((Group("noise", "range_m", "spread", EDGES),), (), (), ())
+    start = np.arange(POOL) % clear
+    weight = np.full((POOL, BINS), 400.0)
+    squares = 400.0 * (1.0 + 0.3 * rng.normal(size=(clear, BINS)))[start]
+    pool = Pool(layout, Reduced(weight, 0.0 * weight, squares, np.zeros((POOL, 0)), np.zeros((POOL, 0, 1))), start)
+    unit = 0.15 / math.sqrt(3.0)  # the logarithm of a root: half of 30 %
+    elements = unit * 0.9 * np.exp(uneven * rng.normal(size=BINS))
+    found = calibrated_scatter({"snow": pool}, {"snow": MeasuredSize(3, clear)}, {"snow": elements}, seed)["snow"]
+    return np.sqrt(found.own - METHOD.log_spread_error**2) / unit, found.degrees
+
+
+def test_few_clear_frames_do_not_make_a_spread_sure() -> None:
+    """Five clear frames tell a variance to 70 %, elements in 40 bins that go with it to a few percent."""
+    ratio, degrees = map(np.concatenate, zip(*(spreads(5, seed) for seed in range(20)), strict=True))
+    logs = np.log(ratio)
+    assert abs(logs.mean()) < 0.1
+    assert logs.std() < 0.2  # 0.38 by five frames alone
+    assert np.median(degrees) > METHOD.element_law_degrees
+
+
+def test_elements_that_say_little_of_a_spread_are_not_believed() -> None:
+    degrees = np.concatenate([spreads(5, seed, uneven=1.5)[1] for seed in range(5)])
+    assert np.median(degrees) < 4.0 + 0.2 * METHOD.element_law_degrees

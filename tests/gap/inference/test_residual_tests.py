@@ -111,17 +111,24 @@ def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
     used = {name: np.ones(12, bool) for name in names}
     used["c1"][0] = False
     base: Any = SimpleNamespace(
-        base=SimpleNamespace(expected={"c0": each, "c1": np.where(each == 0.5, 0.25, each)}, used=used)
+        base=SimpleNamespace(
+            expected={"c0": each, "c1": np.where(each == 0.5, 0.25, each)},
+            used=used,
+            event=dict.fromkeys(names, 4.0 * each),
+            degrees=dict.fromkeys(names, 10.0 + each),
+        )
     )
     search: Any = SimpleNamespace(
         model=SimpleNamespace(layout=LAYOUT),
         measured=[SimpleNamespace(condition=SimpleNamespace(id=name)) for name in names],
     )
-    found = residual_test(search, base, 1.6)
+    found = residual_test(search, base)
     np.testing.assert_array_equal(found.places, ENTRIES)
     np.testing.assert_array_equal(found.used, [used[name] for name in names])
     levels = np.repeat([[1.0, 0.5, 0.25, METHOD.least_level], [1.0, 0.25, 0.25, METHOD.least_level]], 3, axis=1)
-    np.testing.assert_allclose(found.noise, 1.6 * levels, rtol=1e-12)
+    np.testing.assert_allclose(found.noise, levels, rtol=1e-12)
+    np.testing.assert_array_equal(found.event, [4.0 * each] * 2)
+    np.testing.assert_array_equal(found.degrees, [10.0 + each] * 2)
 
 
 def test_bins_without_events_make_no_statistic_of_many_entries() -> None:
@@ -135,3 +142,35 @@ def test_bins_without_events_make_no_statistic_of_many_entries() -> None:
     # Satterthwaite's law beside the drawn one, whose tail is that of its largest term: within a factor of two.
     assert 0.5 < one.p_value(left) / (drawn >= 9.0).mean() < 2.0
     assert one.p_value(left) > 1e3 * chi2.sf(9.0 / level.mean(), 14)
+
+
+@pytest.mark.parametrize("expected", [0.003, 0.01, 0.03])
+def test_first_events_are_no_miracle(expected: float) -> None:
+    """Six bins in which hardly any event is expected: sums of squares as drawn from Poisson's law."""
+    number = RNG(6).poisson(expected, (400_000, 6))
+    departure = np.sqrt(number + 0.375) - np.sqrt(expected + 0.375)
+    departure *= METHOD.one_event_sd / (np.sqrt(expected + 1.375) - np.sqrt(expected + 0.375))
+    level = np.full((1, 6), float((departure**2).mean()))
+    event = np.full((1, 6), METHOD.one_event_sd**2)
+    one = ResidualTest(np.zeros(6, int), np.ones((1, 6), bool), level, event)
+    squares = (departure**2).sum(1)
+    for events in (1, 2):
+        left = np.zeros(6)
+        left[:events] = METHOD.one_event_sd
+        true = float((squares > 0.9 * events * METHOD.one_event_sd**2).mean())
+        found, normal = one.p_value(left), ResidualTest(one.places, one.used, level).p_value(left)
+        assert 0.2 * true < found < 6.0 * true
+        assert normal < 1e-3 * found
+
+
+def test_a_scatter_that_few_frames_tell_is_no_sure_measure() -> None:
+    """Normal numbers over a scatter that four of their kind tell: F, not chi-square; alike in five bins of it."""
+    rng, degrees = RNG(7), 4.0
+    scale = rng.chisquare(degrees, 200_000) / degrees
+    squares = (rng.normal(size=(200_000, 5)) ** 2).sum(1) / scale
+    shape = (1, 5)
+    one = ResidualTest(np.zeros(5, int), np.ones(shape, bool), np.ones(shape), 0.0, np.full(shape, degrees))
+    for chance in (0.1, 1e-2, 1e-3):
+        left = np.full(5, np.sqrt(np.quantile(squares, 1.0 - chance) / 5.0))
+        # 200 of 200,000 scatter by 7 %; three of those.
+        assert one.p_value(left) == pytest.approx(chance, rel=0.21)

@@ -219,11 +219,11 @@ def test_the_noise_of_the_elements_is_that_of_the_mean_of_independent_ones(study
     frames = len(values)
     portioned = Reduced(weight, weight * values, weight, np.zeros((frames, 0)), np.zeros((frames, 0, 1)))
     aim = target(study, np.zeros(BINS), number)
-    found = element_noise({aim.condition.id: Pool(LAYOUT, portioned)}, [aim])
+    found = element_noise({aim.condition.id: Pool(LAYOUT, portioned)}, [aim], METHOD.portions)
     # Frames of three clear ones, each apart from the mean of the other two, are further apart by 3 / 2.
     few = target(study, np.zeros(BINS), number, clear=3)
     wide = portioned.value * 1.5
-    own = element_noise({few.condition.id: Pool(LAYOUT, replace(portioned, value=wide))}, [few])
+    own = element_noise({few.condition.id: Pool(LAYOUT, replace(portioned, value=wide))}, [few], METHOD.portions)
     alike = np.sqrt((3 / 2) / (METHOD.portioned_frames / (METHOD.portioned_frames - 1)))  # of so few independent ones
     np.testing.assert_allclose(own.scatter[aim.condition.id], alike * found.scatter[aim.condition.id], rtol=1e-9)
     # 128 portions of 8 frames, 7 of them free: sqrt(0.5 / 896) = 2.4 % of a standard deviation, 3 % of a correlation;
@@ -249,7 +249,7 @@ def of_study(
         }
         for number, portions in ((frames, 1), (METHOD.portioned_frames, METHOD.portions))
     )
-    return aims, simulated_distribution(pools, aims, element_noise(portioned, aims), None, seed)
+    return aims, simulated_distribution(pools, aims, element_noise(portioned, aims, METHOD.portions), None, seed)
 
 
 def test_measured_vectors_are_those_of_the_conditions_frames(study: Study, model: LidarFrames) -> None:

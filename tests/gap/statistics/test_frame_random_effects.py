@@ -98,7 +98,18 @@ def base(mean: float = 0.0) -> SimulatedDistribution:
     one = dict.fromkeys(SCENES, ones)
     twice, nothing = dict.fromkeys(SCENES, 2.0 * ones), dict.fromkeys(SCENES, 0.0 * ones)
     return SimulatedDistribution(
-        each, one, twice, dict.fromkeys(SCENES, ones > 0), Whitening(np.eye(SIZE)), {}, {}, nothing, one
+        mean=each,
+        sd=one,
+        total=twice,
+        used=dict.fromkeys(SCENES, ones > 0),
+        whitening=Whitening(np.eye(SIZE)),
+        draws={},
+        independent={},
+        shared=nothing,
+        expected=one,
+        event=nothing,
+        degrees=one,
+        told_by_clear=nothing,
     )
 
 

@@ -18,6 +18,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import digamma, polygamma
 from scipy.stats import chi2
 
 from torchweather.gap.inference.config import METHOD
@@ -59,6 +60,10 @@ class CalibratedScatter:
         shared: ``(P,)`` whether that error is the same in all conditions of a scene.
         expected: mean square of a departure that noise makes over the sum of the three: below 1 where hardly
             anything can happen.
+        event: square of a departure by one event beyond the expected ones, over the sum of the three; 0 of what has
+            none.
+        degrees: of freedom with which the sum of the three is known: of Student's law of a departure.
+        told_by_clear: share of what is not known of it that clear frames make: it is the same in all statistics.
     """
 
     mean: Floats
@@ -68,6 +73,9 @@ class CalibratedScatter:
     clear: Floats
     shared: NDArray[np.bool_]
     expected: Floats
+    event: Floats
+    degrees: Floats
+    told_by_clear: Floats
 
 
 def calibrated_scatter(
@@ -86,13 +94,71 @@ def calibrated_scatter(
     share = between_share(layout, components)
     drawn = {name: _drawn(pool, sizes[name], seed, place) for place, (name, pool) in enumerate(pools.items())}
     counted = {name: _Counted(layout, pool, sizes[name], share) for name, pool in pools.items()}
-    dispersion = _dispersion(layout, counted, {name: one.var(0, ddof=1) for name, one in drawn.items()})
+    variance = {name: _variance(layout, one, share, sizes[name].clear_frames) for name, one in drawn.items()}
+    dispersion = _dispersion(layout, counted, variance)
+    told = {name: _told(share, len(pool), sizes[name].clear_frames) for name, pool in pools.items()}
+    laws = _spread_laws(layout, elements, variance, told)
     return {
         name: _scatter(
-            pool, sizes[name], drawn[name], components[name], share, elements[name], counted[name], dispersion
+            pool, sizes[name], drawn[name], components[name], share, elements[name], counted[name], dispersion, laws
         )
         for name, pool in pools.items()
     }
+
+
+def _variance(layout: Layout, draws: Floats, share: Floats, clear: int) -> Floats:
+    """Variance ``(P,)`` of vectors of endless clear frames: those of K differ from their mean by (K - 1) / K of it.
+
+    What happens by chance in clear frames is drawn anew in each simulated one.
+    """
+    copied = share * ~layout.each(lambda group: group.statistic in layout.from_clear)
+    found: Floats = draws.var(0, ddof=1) * (1.0 + copied / max(clear - 1, 1))
+    return found
+
+
+def _is_spread(statistic: str, group: Group) -> bool:
+    return group.statistic == statistic and group.kind == "spread"
+
+
+@dataclass(frozen=True)
+class _SpreadLaw:
+    """Variance of a spread by the noise of its elements, and how many degrees of freedom that law is worth.
+
+    Args:
+        over: what simulated frames show over the law, over all bins and conditions of a statistic.
+        degrees: by how far single bins keep to that, beyond what few clear frames make of them.
+    """
+
+    over: float
+    degrees: float
+
+
+def _spread_laws(
+    layout: Layout, elements: Mapping[str, Floats], variance: Mapping[str, Floats], told: Mapping[str, Floats]
+) -> dict[str, _SpreadLaw]:
+    """Of each statistic that has spreads."""
+    found: dict[str, _SpreadLaw] = {}
+    for name in dict.fromkeys(group.statistic for group in layout.groups if group.kind == "spread"):
+        own = layout.each(partial(_is_spread, name))
+        law, shown, degrees = (
+            np.concatenate([one[condition][own] for condition in elements]) for one in (elements, variance, told)
+        )
+        some = (law > TINY) & (shown > TINY**2)
+        if some.sum() < 2:
+            continue
+        # The logarithm of an estimated variance has the mean and the variance of one of chi-square.
+        half = 0.5 * degrees[some]
+        ratio = np.log(shown[some] / law[some] ** 2) - (digamma(half) - np.log(half))
+        beyond = float(ratio.var(ddof=1)) - float(polygamma(1, half).mean())
+        most = METHOD.element_law_degrees
+        found[name] = _SpreadLaw(float(np.exp(ratio.mean())), min(2.0 / max(beyond, 2.0 / most), most))
+    return found
+
+
+def _told(share: Floats, frames: int, clear: int) -> Floats:
+    """Degrees of freedom ``(P,)`` of a variance of which K clear frames tell a share, and N simulated ones the rest."""
+    found: Floats = 1.0 / ((1.0 - share) / frames + share / max(min(clear, frames) - 1, 1))
+    return found
 
 
 def _drawn(pool: Pool, size: MeasuredSize, seed: int, place: int) -> Floats:
@@ -155,7 +221,13 @@ class _Counted:
         expected = self.expected[part]
         narrower = (1.0 + min(dispersion, 1.0) * expected**2) / (1.0 + expected**2)
         allowed = np.minimum(one_event_sd(expected) / np.sqrt(narrower), METHOD.one_event_sd)
-        step = (np.sqrt(expected + 1.0 + ANSCOMBE) - np.sqrt(expected + ANSCOMBE)) / allowed
+        found: Floats = self.one_event(group, part) / allowed**2
+        return found
+
+    def one_event(self, group: Group, part: slice) -> Floats:
+        """Square by which a stabilised count or share changes with one event beyond the expected ones."""
+        expected = self.expected[part]
+        step = np.sqrt(expected + 1.0 + ANSCOMBE) - np.sqrt(expected + ANSCOMBE)
         found: Floats = step**2 if group.kind == "count" else step**2 / np.maximum(self.weight[part], 1.0)
         return found
 
@@ -215,13 +287,17 @@ def _scatter(
     elements: Floats,
     counted: _Counted,
     dispersion: Mapping[str, float],
+    laws: Mapping[str, _SpreadLaw],
 ) -> CalibratedScatter:
     layout, number, frames, clear = pool.layout, size.frames, len(pool), size.clear_frames
     # Mean of one over an estimated variance, over one over the true one.
-    variance = draws.var(0, ddof=1) * (1.0 + np.minimum(components.unsure, METHOD.most_unsure))
+    variance = _variance(layout, draws, share, clear) * (1.0 + np.minimum(components.unsure, METHOD.most_unsure))
+    told = _told(share, frames, clear)
+    by_clear_frames = share * told / max(min(clear, frames) - 1, 1)
+    degrees = np.where(layout.by_elements, np.inf, told)
     own, simulated, of_clear = np.zeros(layout.size), np.zeros(layout.size), np.zeros(layout.size)
-    expected = np.ones(layout.size)
-    known = pool.known_to(number, size.misplaced) ** 2
+    expected, event = np.ones(layout.size), np.zeros(layout.size)
+    model_error = pool.known_to(number, size.misplaced) ** 2
     # Means of elements, and what happens by chance in clear frames: the noise of elements is known from the clear
     # frames of all scenes, and their own error is the same in all conditions of one.
     by_elements = layout.by_elements
@@ -239,15 +315,17 @@ def _scatter(
             of_clear[part] = noise * told_by_clear[part] * number / clear
         elif group.kind in COUNTED:
             alike = dispersion[group.statistic]
-            told, prior, least = counted.told()[part], counted.prior()[part], counted.least(group, part, alike)
+            known, prior, least = counted.told()[part], counted.prior()[part], counted.least(group, part, alike)
             law = alike * counted.variance[part]
-            mixed = (told * variance[part] + prior * law) / (told + prior)
+            mixed = (known * variance[part] + prior * law) / (known + prior)
+            degrees[part] = known + prior
             share_of_null = layout.scatter_share.get(group.statistic, 1.0)
             mixed = mixed * share_of_null
             own[part] = np.maximum(mixed, least)
             seen = draws[:, part].var(0, ddof=1) * share_of_null
             shown = np.where(seen > TINY**2, seen, 0.5 * mixed)
             expected[part] = np.minimum(shown / np.maximum(own[part], TINY**2), 1.0)
+            event[part] = counted.one_event(group, part)
             simulated[part] = own[part] * (1.0 - share[part]) * number / frames
             of_clear[part] = own[part] * told_by_clear[part] * number / clear
         elif group.kind == "between":
@@ -261,24 +339,46 @@ def _scatter(
             own[part] = (1.0 - by_clear) * variance[part] + by_clear * of_clear_noise
             simulated[part] = variance[part] * number / frames
             of_clear[part] = by_clear * log_sd_variance(clear, scatter, steady)
+            degrees[part] = 1.0 / ((1.0 - by_clear) / frames + by_clear / max(clear - 1, 1))
+            by_clear_frames[part] = by_clear * degrees[part] / max(clear - 1, 1)
         elif group.kind == "slope":
             by_clear = float(components.of_scalars[layout.scalars.index(group.statistic)])
             slope_unsure = 2.0 * ((1.0 - by_clear) / frames + by_clear / max(clear - 1, 1))
             own[part] = draws[:, part].var(0, ddof=1) * (1.0 + min(slope_unsure, METHOD.most_unsure))
+            degrees[part] = 2.0 / slope_unsure
+            by_clear_frames[part] = by_clear * degrees[part] / max(clear - 1, 1)
         elif group.kind == "persistence":
             # Maps are nearly empty where little falls: one return that two frames share by chance is no discovery.
             least_sd = math.sqrt(2.0 / max(number * (number - 1), 2)) / METHOD.one_event_sd
             own[part] = np.maximum(variance[part], least_sd**2)
             expected[part] = np.minimum(draws[:, part].var(0, ddof=1) / own[part], 1.0)
+            event[part] = (METHOD.one_event_sd * least_sd) ** 2
             simulated[part] = variance[part] * (1.0 - share[part]) * number / frames
             of_clear[part] = variance[part] * share[part] * number / clear
         else:
-            own[part] = variance[part]
-            simulated[part] = variance[part] * (1.0 - share[part]) * number / frames
-            of_clear[part] = variance[part] * share[part] * number / clear
+            by_law = laws.get(group.statistic) if group.kind == "spread" else None
+            if by_law is None:
+                own[part] = variance[part]
+            else:
+                law = by_law.over * elements[part] ** 2
+                prior = np.where(law > TINY**2, by_law.degrees, 0.0)
+                own[part] = (told[part] * variance[part] + prior * law) / (told[part] + prior)
+                degrees[part] += prior
+            simulated[part] = own[part] * (1.0 - share[part]) * number / frames
+            of_clear[part] = own[part] * share[part] * number / clear
     before = own + simulated + of_clear
-    own = own + known
-    expected *= before / np.maximum(own + simulated + of_clear, TINY**2)
+    own = own + model_error
+    whole = np.maximum(own + simulated + of_clear, TINY**2)
+    expected *= before / whole
     return CalibratedScatter(
-        draws.mean(0), draws, own, simulated, of_clear, layout.averages | from_clear, np.minimum(expected, 1.0)
+        mean=draws.mean(0),
+        draws=draws,
+        own=own,
+        simulated=simulated,
+        clear=of_clear,
+        shared=layout.averages | from_clear | layout.each(lambda group: group.kind == "spread"),
+        expected=np.minimum(expected, 1.0),
+        event=event / whole,
+        degrees=degrees,
+        told_by_clear=by_clear_frames,
     )

@@ -64,7 +64,10 @@ class InferenceConfig:
 
     # ---- Distribution of the statistics of simulated frames ----
     distribution_draws: int = 256  # of the vector of statistics from the pool
-    portions: int = 128  # into which the elements of a frame are divided
+    # Into which the elements of a frame are divided. Correlations come from as many portions as there are of all frames
+    # that start from different clear ones: 1,024. With 384 of them, from three clear frames, what they make independent
+    # had 1.1 to 1.5 of its variance.
+    portions: int = 128
     portioned_frames: int = 8  # of each condition
     frames_for_spread: int = 3  # least number; two frames differ alike in either order, which has no scatter
     shrinkage: float = 0.1  # of correlations towards zero
@@ -88,10 +91,16 @@ class InferenceConfig:
     # ---- Scatter of statistics ----
     jeffreys_events: float = 0.5  # events that a prior of a rate stands for (Jeffreys 1946)
     counting_prior_frames: float = 5.0  # that the law of counting weighs beside what simulated frames show
+    # Degrees of freedom that the noise of elements tells of the variance of a spread, at most: in null studies what it
+    # says scatters about the truth by 0.4 in its logarithm.
+    element_law_degrees: float = 10.0
     unseen_events: float = 0.5  # of independent elements, taken for granted where a statistic shows none
     # Standard deviations that one event more is at most, however alike simulated frames are: what the deviance of a
     # Poisson law says of one event where 0.05 were expected.
     one_event_sd: float = 2.2
+    known_degrees: float = 1e6  # of freedom of a scatter, from which it counts as known
+    # Noise that simulated frames do not show of an entry, over what they show, up to which they tell its form.
+    lacking_over_shown: float = 4.0
     well_may_be_sd: float = 2.0  # standard deviations of an estimated variance above it, where it is small
     quantiles: int = 2000  # of a distribution, over which a mean is taken
     most_unsure: float = 1.0  # relative variance of an estimated variance, up to which it is allowed for

@@ -147,7 +147,7 @@ def find_gap_with(
             # The effect may only have led the nuisances to where they belong: they are profiled from there without it.
             without = search.profile(replace(singles[0].fit.point, values={}))
             least = min(global_test.misfit, search.misfit(without.residual, without.nuisance))
-            global_test = global_test.raised(least - singles[0].fit.misfit)
+            global_test = global_test.raised(least - singles[0].fit.misfit, singles[0].fit.point.values)
     if global_test.p_value > METHOD.alarm_p:
         left = base.nuisance.left(base.residual)
         return GapResult(
@@ -182,13 +182,13 @@ def _singles(
         global_test.misfit,
         progress,
     )
-    for own, proposal in scattering(search, base, global_test.templates, _threshold(global_test)):
+    for own, proposal in scattering(search, base, global_test.templates, global_test.threshold):
         promised.add(proposal[1].id)
         found += fitted(search, own, [proposal], global_test.misfit, progress)
     # The better one of what was fitted twice; best first.
     found = list({one.id: one for one in sorted(found, key=lambda one: one.gain)}.values())[::-1]
     # What promised nothing must be better by more than noise gains: what is open has more numbers than most effects.
-    least = max((one.gain for one in found if one.id in promised), default=-math.inf) + _threshold(global_test)
+    least = max((one.gain for one in found if one.id in promised), default=-math.inf) + global_test.threshold
     return [one for one in found if one.id in promised or one.gain > least]
 
 
@@ -201,7 +201,7 @@ def _rounds(
     progress: Callable[[str], None],
 ) -> list[list[Candidate]]:
     """Effects fitted, one more in each round while it earns its place; the best of each round first."""
-    threshold = _threshold(global_test)
+    threshold = global_test.threshold
     rounds = [list(singles)]
     led: set[str] = set()  # effects that have taken the place of one that stood for them
     while True:
@@ -406,7 +406,7 @@ def _verdict(global_test: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut)
         if global_test.p_value < METHOD.sure_alarm_p or global_test.common_p_value <= METHOD.alarm_p
         else "none"
     )
-    if explained < _threshold(global_test):
+    if explained < global_test.threshold:
         return unexplained
     if before.misfit - after.misfit < -HELD_LOSS * max(explained - SURE_GAIN, 0.0):
         return unexplained
@@ -425,8 +425,3 @@ def _verdict(global_test: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut)
 def _confusable(name: str, other: str) -> bool:
     """Check whether the catalogue calls either of two effects confusable with the other."""
     return other in EFFECTS[name].confusable_with or name in EFFECTS[other].confusable_with
-
-
-def _threshold(global_test: GlobalTest) -> float:
-    """Gain that noise seldom reaches."""
-    return float(np.quantile(global_test.best_null, 1.0 - METHOD.alarm_p))

@@ -7,13 +7,18 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.degrees_of_freedom import (
+    StatisticDegrees,
+    as_of_known_noise,
+    beyond_known_noise,
+)
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 from torchweather.gap.inference.location_search import standing_grids
 from torchweather.gap.inference.residual_tests import ResidualTest, residual_test
@@ -25,7 +30,6 @@ from torchweather.pipeline.effect import Effect
 __all__ = [
     "GlobalTest",
     "best_of_places",
-    "overdispersion",
     "counted_entries",
     "expected_square",
     "located_templates",
@@ -45,8 +49,10 @@ class GlobalTest:
         counted: number of entries.
         templates: responses.
         gains: ``(templates,)`` delta chi-square of each.
-        best_null: ``(R,)`` largest gain of each null.
+        best_null: ``(R,)`` largest gain of each null, of noise that is known.
         misfit_null: ``(R,)``.
+        degrees: ``(templates,)`` of freedom of the noise along each response.
+        degrees_of_all: the same of all statistics together.
         residual_test: noise of each statistic by itself.
         p_value: of the largest of the four departures: along a response, of all entries, of one statistic, of what all
             conditions have in common of one.
@@ -60,13 +66,23 @@ class GlobalTest:
     gains: Floats
     best_null: Floats
     misfit_null: Floats
+    degrees: Floats
+    degrees_of_all: float
     residual_test: ResidualTest
     p_value: float
     common_p_value: float
 
-    def raised(self, gain: float) -> GlobalTest:
-        """With an alarm by an effect that was fitted in the simulator, where that is the larger one."""
-        return replace(self, p_value=min(self.p_value, METHOD.departures * _tail(self.best_null, gain)))
+    def raised(self, gain: float, effects: Collection[str]) -> GlobalTest:
+        """With an alarm by effects that were fitted in the simulator, where that is the larger one."""
+        degrees = min(own for one, own in zip(self.templates, self.degrees, strict=True) if one.id in effects)
+        tail = _tail(self.best_null, float(as_of_known_noise(max(gain, 0.0), degrees)))
+        return replace(self, p_value=min(self.p_value, METHOD.departures * tail))
+
+    @property
+    def threshold(self) -> float:
+        """Gain that noise seldom reaches."""
+        known = float(np.quantile(self.best_null, 1.0 - METHOD.alarm_p))
+        return beyond_known_noise(known, self.degrees_of_all)
 
 
 def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]], base: Fit, seed: int) -> GlobalTest:
@@ -94,18 +110,33 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
     nulls = search.null_residuals(nuisance, METHOD.null_draws, seed)
     of_nulls = delta_chi2(templates, nuisance(nulls), nuisance)
     placed = np.array([any(one.name in PLACES for one in template.grid.effect.arguments) for template in templates])
-    best_null = best_of_places(of_nulls, placed, _sectors(search), seed) * overdispersion(search)
+    best_null = best_of_places(of_nulls, placed, _sectors(search), seed)
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
+    known = StatisticDegrees(search.model.layout, search.start, [target.condition.id for target in search.measured])
+    degrees = np.array([known.of(template.response) for template in templates])
     gain = delta_chi2(templates, left[None], nuisance)[0]
     misfit = search.misfit(residual, nuisance)
     counted = counted_entries(search)
-    p_gain = _tail(best_null, float(gain.max()))
-    p_misfit = _tail(misfit_null * overdispersion(search), misfit)
-    each = residual_test(search, base, overdispersion(search))
+    p_gain = _tail(best_null, float(as_of_known_noise(gain, degrees).max()))
+    of_all = min(known.of_all, METHOD.known_degrees)
+    unsure = np.random.default_rng([seed, 49979687]).chisquare(of_all, len(misfit_null)) / of_all
+    p_misfit = _tail(misfit_null / unsure, misfit)
+    each = residual_test(search, base)
     p_common = min(1.0, METHOD.departures * each.common_p_value(left))
     p_value = min(p_common, METHOD.departures * min(p_gain, p_misfit, each.p_value(left)))
     return GlobalTest(
-        residual, misfit, counted, tuple(templates), gain, best_null, misfit_null, each, p_value, p_common
+        residual,
+        misfit,
+        counted,
+        tuple(templates),
+        gain,
+        best_null,
+        misfit_null,
+        degrees,
+        known.of_all,
+        each,
+        p_value,
+        p_common,
     )
 
 
@@ -169,15 +200,6 @@ def _sectors(search: SimulatorLikelihood) -> int:
     """Places in azimuth to choose from, over those that are looked at."""
     bins = max((group.bins for group in search.model.layout.groups if group.axis == "azimuth_rad"), default=1)
     return max(bins // METHOD.places_looked_at, 1)
-
-
-def overdispersion(search: SimulatorLikelihood) -> float:
-    """Mean of the square of a departure over its stated variance, where that is known from so many clear frames alone:
-    Student's law, ``v / (v - 2)`` for v degrees of freedom, to first order, as the noise of elements is known better.
-    """
-    clear = {target.condition.scene: target.clear_frames for target in search.measured}
-    degrees = max(sum(clear.values()) - len(clear), 1)
-    return 1.0 + 2.0 / degrees
 
 
 def counted_entries(search: SimulatorLikelihood) -> int:

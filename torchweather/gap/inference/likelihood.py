@@ -117,8 +117,9 @@ class SimulatorLikelihood:
         self.kept = self._nothing_kept()
         self._portioned_frames = 0
         self.open = {k: low for target in self.measured for k, low in model.open(target.condition).items()}
+        portions = _portions(self.measured)
         self.noise = element_noise(
-            self.pools(ParameterPoint(), METHOD.portioned_frames, METHOD.portions), self.measured
+            self.pools(ParameterPoint(), METHOD.portioned_frames, portions), self.measured, portions
         )
         self.frame_departures = frame_departures(model, self.measured)
         self.clear_means = clear_means(model, self.measured)
@@ -315,8 +316,9 @@ class SimulatorLikelihood:
         off by random draws.
 
         The measured frames' own noise is that of drawn simulated frames, tails and all. What else is expected of an
-        entry, the errors of the simulated mean and of the clear frames, is normal; so is the noise of elements, of
-        which simulated frames show no more than their few clear frames.
+        entry, the errors of the simulated mean and of the clear frames, is that of others of them, as statistics go
+        together in it; normal where simulated frames show little of it. So is the noise of elements, of which they show
+        no more than their few clear frames.
         """
         generator = np.random.default_rng([seed, 15485863])
         expected = np.concatenate([self.start.expected[name] * self.start.used[name] for name in self._names])
@@ -324,8 +326,11 @@ class SimulatorLikelihood:
         drawn = [np.where(elements, 0.0, self.start.draws[name] - self.start.mean[name]) for name in self._names]
         rows = [generator.integers(len(one), size=number) for one in drawn]
         own = self.whitened(self.start, [one[row] for one, row in zip(drawn, rows, strict=True)])
-        lacking = np.sqrt(np.maximum(expected - own.var(0), 0.0))
-        noise = own + generator.normal(size=own.shape) * lacking
+        shown = own.var(0)
+        lacking = np.maximum(expected - shown, 0.0)
+        alike = lacking < METHOD.lacking_over_shown * shown
+        another = own[generator.permutation(number)] / np.sqrt(np.where(alike, shown, 1.0))
+        noise = own + np.sqrt(lacking) * np.where(alike, another, generator.normal(size=own.shape))
         found: Floats = noise + nuisance.drawn(generator, number)
         return found
 
@@ -700,3 +705,9 @@ class SimulatorLikelihood:
             moved = values[effect][parameter] + limited
             values[effect][parameter] = float(np.clip(moved, declared.low, declared.high))
         return replace(point, values=values)
+
+
+def _portions(measured: Sequence[Observation]) -> int:
+    """Portions of a frame: the more the fewer clear frames there are, each of which shows its noise but once."""
+    clear = min((target.clear_frames for target in measured), default=METHOD.portioned_frames)
+    return math.ceil(METHOD.portions * max(METHOD.portioned_frames / max(clear, 1), 1.0))

@@ -3,11 +3,12 @@
 Of each statistic along each axis the squares of its whitened entries are held against those of noise, and so is the
 pattern that all conditions have in common: what acts alike in each of them is a few numbers there. Each entry has the
 square that noise is expected to leave of it (``SimulatedDistribution.expected``): a statistic of a few bins that hold
-events, and of many that never do, is one of a few entries.
+events, and of many that never do, is one of a few entries. One event where hardly any is expected makes a square far
+above that; and a scatter that few frames tell is no sure measure: the sum follows the law of F.
 
 References:
     GAP.md 3 (7): look at the groups of statistics that the effects leave unchanged. Satterthwaite 1946 (a sum of
-    squares of different scatter).
+    squares of different scatter). Snedecor 1934 (F: squares over a scatter that is itself estimated).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
@@ -35,11 +36,15 @@ class ResidualTest:
         places: ``(P,)`` group of each entry.
         used: ``(C, P)`` entries that count.
         noise: ``(C, P)`` square of an entry that noise leaves at the mean.
+        event: ``(C, P)`` square that one event beyond the expected ones makes of an entry; 0 of what has none.
+        degrees: ``(C, P)`` of freedom with which that noise is known.
     """
 
     places: NDArray[np.intp]
     used: NDArray[np.bool_]
     noise: Floats
+    event: Floats | float = 0.0
+    degrees: Floats | float = np.inf
 
     @property
     def groups(self) -> int:
@@ -53,49 +58,67 @@ class ResidualTest:
     def p_value(self, left: Floats) -> float:
         """Probability that noise leaves as much in the group that departs most, of as many groups as there are."""
         level = self.noise * self.used
-        return self._least(self.squares(left), self._summed(level.sum(0)), self._summed((level**2).sum(0)))
+        uneven = level**2 + self._of_events()
+        sums = [self._summed(one.sum(0)) for one in (level, uneven, level / self.degrees)]
+        return self._least(sums[0], sums[1], sums[2], self.squares(left))
 
     def common_p_value(self, left: Floats) -> float:
         """The same of what the conditions have in common: each entry summed over those where it counts, two at least,
         over the root of their number, which noise leaves as it was."""
-        number = self.used.sum(0)
-        common = number > 1
-        pattern = (left.reshape(self.used.shape) * self.used).sum(0) / np.sqrt(np.maximum(number, 1))
-        level = common * (self.noise * self.used).sum(0) / np.maximum(number, 1)
-        return self._least(self._summed(common * pattern**2), self._summed(level), self._summed(level**2))
+        number = np.maximum(self.used.sum(0), 1)
+        common = self.used.sum(0) > 1
+        pattern = common * (left.reshape(self.used.shape) * self.used).sum(0) / np.sqrt(number)
+        noise = common * self.noise * self.used / number
+        level, unsure = noise.sum(0), (noise / self.degrees).sum(0)
+        uneven = level**2 + common * (self._of_events() / number**2).sum(0)
+        sums = [self._summed(one) for one in (level, uneven, unsure, pattern**2)]
+        return self._least(sums[0], sums[1], sums[2], sums[3])
+
+    def _of_events(self) -> Floats:
+        """``(C, P)`` half the variance of an entry's square by rare events, beyond that of a normal number."""
+        rare = np.maximum(1.0 - self.noise, 0.0)
+        return np.asarray(0.5 * self.noise * rare * self.event * self.used, dtype=np.float64)
 
     def _summed(self, values: NDArray[Any]) -> Floats:
         """Values ``(P,)`` summed by group."""
         return np.asarray(np.bincount(self.places, values, self.groups), dtype=np.float64)
 
     @staticmethod
-    def _least(squares: Floats, level: Floats, level_2: Floats) -> float:
-        """Probability of the least likely of some sums of squares of normal entries.
+    def _least(level: Floats, uneven: Floats, unsure: Floats, squares: Floats) -> float:
+        """Probability of the least likely of some sums of squares.
 
         Args:
-            squares: ``(G,)``.
-            level, level_2: ``(G,)`` sums of the entries' variances and of their squares.
+            level: ``(G,)`` their means.
+            uneven: half the variances that they have about those.
+            unsure: the levels over the degrees of freedom with which they are known.
+            squares: the sums.
         """
         some = level > 0
-        scale = level_2[some] / level[some]
-        each = chi2.sf(squares[some] / scale, level[some] / scale)
-        return float(min(1.0, some.sum() * each.min())) if some.any() else 1.0
+        if not some.any():
+            return 1.0
+        level, uneven, unsure, squares = level[some], uneven[some], unsure[some], squares[some]
+        entries = level**2 / uneven
+        known = unsure * METHOD.known_degrees <= level
+        degrees = level / np.where(known, level, unsure)
+        each = np.where(known, chi2.sf(squares * level / uneven, entries), f.sf(squares / level, entries, degrees))
+        return float(min(1.0, some.sum() * each.min()))
 
     def excess(self, left: Floats) -> float:
         """Sum of the excess of groups over what noise leaves."""
         return float(np.maximum(self.squares(left) - self._summed((self.noise * self.used).sum(0)), 0.0).sum())
 
 
-def residual_test(search: SimulatorLikelihood, base: Fit, overdispersion: float) -> ResidualTest:
+def residual_test(search: SimulatorLikelihood, base: Fit) -> ResidualTest:
     """The noise of the model as it is.
 
     Args:
         search: its simulator.
         base: the model without added effects, its nuisances fitted.
-        overdispersion: how much larger in square noise is taken than stated.
     """
-    groups, names = search.model.layout.groups, [target.condition.id for target in search.measured]
-    places = np.repeat(np.arange(len(groups)), [group.bins for group in groups])
-    used = np.stack([base.base.used[name] for name in names])
-    expected = np.stack([base.base.expected[name] for name in names])
-    return ResidualTest(places, used, overdispersion * np.maximum(expected, METHOD.least_level))
+    layout, names = search.model.layout, [target.condition.id for target in search.measured]
+    places = np.repeat(np.arange(len(layout.groups)), [group.bins for group in layout.groups])
+    used, expected, event, degrees = (
+        np.stack([getattr(base.base, field)[name] for name in names])
+        for field in ("used", "expected", "event", "degrees")
+    )
+    return ResidualTest(places, used, np.maximum(expected, METHOD.least_level), event, degrees)

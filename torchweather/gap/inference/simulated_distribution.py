@@ -217,6 +217,11 @@ class SimulatedDistribution:
             one for all conditions of the scene (``search.py``).
         expected: condition to ``(P,)`` mean square of a departure by noise, in units of ``total``: 1, and less where
             hardly anything can happen.
+        event: condition to ``(P,)`` square of one event beyond the expected ones, in the same units; 0 of what has
+            none.
+        degrees: condition to ``(P,)`` degrees of freedom with which that scatter is known.
+        told_by_clear: condition to ``(P,)`` share of what is not known of it that is alike in all statistics: by the
+            clear frames.
     """
 
     mean: Mapping[str, Floats]
@@ -228,6 +233,9 @@ class SimulatedDistribution:
     independent: Mapping[str, Floats]
     shared: Mapping[str, Floats]
     expected: Mapping[str, Floats]
+    event: Mapping[str, Floats]
+    degrees: Mapping[str, Floats]
+    told_by_clear: Mapping[str, Floats]
 
     def whitened(self, name: str, difference: Floats) -> Floats:
         """Whitened difference of vectors ``(..., P)``; entries that do not count are 0."""
@@ -299,15 +307,19 @@ def simulated_distribution(
         independent=independent,
         shared=shared,
         expected={name: one.expected for name, one in found.items()},
+        event={name: one.event for name, one in found.items()},
+        degrees={name: one.degrees for name, one in found.items()},
+        told_by_clear={name: one.told_by_clear for name, one in found.items()},
     )
 
 
-def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]) -> ElementNoise:
+def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation], portions: int) -> ElementNoise:
     """Scatter and correlations from the noise of portions of the elements.
 
     Args:
-        portioned: condition to simulated frames times ``PORTIONS``.
+        portioned: condition to simulated frames times their portions.
         measured: the conditions.
+        portions: of a frame.
     """
     size = next(iter(portioned.values())).layout.size
     total = np.zeros((size, size))
@@ -318,7 +330,7 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
     about_clear = layout.each(lambda group: group.statistic in layout.about_clear_mean)
     for target in measured:
         name, clear = target.condition.id, target.clear_frames
-        apart = portioned[name].element_noise(METHOD.portions, target.frames, clear)
+        apart = portioned[name].element_noise(portions, target.frames, clear)
         # Departures from the mean of the other clear frames are larger than those from the mean of all.
         apart *= np.where(averages & ~about_clear, (clear - 1) / clear if clear > 1 else 1.0, 1.0)
         apart *= np.where(about_clear, math.sqrt(squares_about_clear_mean(target.frames, clear)), 1.0)

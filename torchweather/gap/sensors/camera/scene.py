@@ -34,11 +34,13 @@ __all__ = [
     "in_blocks",
     "level_ground",
     "place_in",
+    "tile_blocks",
 ]
 
 COLOURS = ("red", "green", "blue")  # of the colour filter array; green is the clear pixel's where there is one
 GREEN = 1
 BLOCK_CELLS = 2  # a block is so many cells high and wide
+TILES_MIN = 160  # into which a frame is divided, for the noise of portions of it
 LEAST_PX = 48  # of a frame, either way: a hundred blocks
 SKY_M = 1e5  # stands for an infinite depth
 DEPTH_M = (0.0, 6.0, 9.0, 13.0, 19.0, 28.0, 42.0, 65.0, 110.0, 300.0, 1e4, 1e6)
@@ -56,6 +58,22 @@ EDGE, EDGE_SD = 0.12, 6.0  # and of edges more
 DARKEST = 2e-3  # of saturation; what is darker counts as that in logarithms
 MOST_GROWN, LEAST_VARIANCE = 1e4, 1e-12  # of a variance
 MOVED_SD = 6.0  # standard deviations of the noise by which a pixel departs that something moves in
+
+
+def tile_blocks(rows: int, columns: int) -> int:
+    """Blocks that a tile is high and wide: as many as leave ``TILES_MIN`` tiles, a power of two.
+
+    A pair of cells of the texture is up to eight of them apart, and one cell is in pairs of every lag. What such
+    statistics have in common shows where a portion of the frame holds both cells of most pairs.
+
+    Example:
+        >>> tile_blocks(90, 120), tile_blocks(24, 32)
+        (8, 2)
+    """
+    side = 1
+    while math.ceil(rows / (2 * side)) * math.ceil(columns / (2 * side)) >= TILES_MIN:
+        side *= 2
+    return side
 
 
 @dataclass(frozen=True)

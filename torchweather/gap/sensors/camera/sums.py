@@ -37,6 +37,7 @@ from torchweather.gap.sensors.camera.scene import (
     cell_colours,
     in_blocks,
     place_in,
+    tile_blocks,
 )
 from torchweather.gap.sensors.camera.shift import MOTIONS, Shifts, shift_name
 from torchweather.gap.sensors.camera.tails import (
@@ -92,7 +93,8 @@ def camera_layout(scene: CameraScene, colours: Sequence[str]) -> Layout:
     ]
     groups += share_groups()
     products = tuple(group.statistic for group in correlation_groups())
-    shared = dict.fromkeys(products, products_share(BLOCK_CELLS))
+    blocks = tile_blocks(scene.cells[0] // BLOCK_CELLS, scene.cells[1] // BLOCK_CELLS)
+    shared = dict.fromkeys(products, products_share(blocks * BLOCK_CELLS))
     return Layout(tuple(groups), SCALARS, STEADY, MAPS, about_clear_mean=products, scatter_share=shared)
 
 
@@ -317,12 +319,16 @@ class CameraSums:
     def _portions(self, portions: int) -> tuple[Tensor | None, Tensor | None]:
         """Portion of each block ``(B,)`` and of each cell ``(h w,)``: that of its block, the first where it is in none.
 
-        ``None`` where there is one.
+        A portion is made of tiles of neighbouring blocks. ``None`` where there is one.
         """
         if portions == 1:
             return None, None
-        blocks = len(self.scene.block_depth_m)
-        portion = torch.from_numpy(np.random.default_rng(86028157).permutation(blocks) % portions)
+        rows, columns = self._block_size
+        side = tile_blocks(rows, columns)
+        down, across = torch.arange(rows) // side, torch.arange(columns) // side
+        tile = (down[:, None] * (int(across[-1]) + 1) + across).flatten()
+        drawn = torch.from_numpy(np.random.default_rng(86028157).permutation(int(tile[-1]) + 1) % portions)
+        portion = drawn[tile]
         found = torch.zeros(self.scene.cells, dtype=torch.long)
         spread = portion.view(self._block_size).repeat_interleave(BLOCK_CELLS, 0).repeat_interleave(BLOCK_CELLS, 1)
         found[: spread.shape[0], : spread.shape[1]] = spread
