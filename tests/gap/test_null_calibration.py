@@ -45,3 +45,12 @@ def test_each_statistic_and_the_largest_gain_are_as_likely_as_stated() -> None:
             assert abs(squares - 1.0) < 0.1 + 2.0 * error, name
     assert kstest([one.gain_p for one in found], "uniform").pvalue > 0.01
     assert not any(one.alarm_p < METHOD.alarm_p for one in found)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("kind", "number"), [("camera-rain", 20), ("radar", 40)])
+def test_few_clear_frames_raise_no_alarm(kind: str, number: int) -> None:
+    """Five clear frames of a camera, and of a radar eight whose noise floors may be alike by chance."""
+    found = [null_study(STUDIES[kind](seed)) for seed in range(number)]
+    assert not any(one.alarm_p < METHOD.alarm_p for one in found)
+    assert kstest([one.gain_p for one in found], "uniform").pvalue > 0.01
