@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from torchweather.gap.statistics.counting import ANSCOMBE, counted_variance, expected_number, root_variance
+from torchweather.gap.statistics.counting import (
+    ANSCOMBE,
+    counted_variance,
+    expected_number,
+    root_variance,
+    unseen_events,
+)
 
 DRAWS = 200_000
 # Of a variance from so many draws, relative: sqrt((kurtosis - 1) / DRAWS), for a kurtosis up to 1 / expected + 3.
@@ -43,3 +49,19 @@ def test_events_of_an_unknown_rate_are_predicted_without_bias() -> None:
     counted, then = rng.poisson(rate * 48), rng.poisson(rate * 6)
     ratio = (then.mean() - expected_number(counted, 48, 6).mean()) / then.mean()
     assert abs(ratio) < 0.001
+
+
+def test_what_is_still_to_come_in_empty_bins_is_as_much_as_was_seen_once() -> None:
+    """Of 200 bins 150 can never hold an event; the others have one in 5 to 1,000 frames. 48 frames, then six more."""
+    rate = np.concatenate([np.zeros(150), 10.0 ** np.linspace(-3.0, -0.7, 50)])
+    rng = np.random.default_rng(3)
+    come, predicted, by_half_an_event = 0.0, 0.0, 0.0
+    for _ in range(400):
+        counted = rng.poisson(48.0 * rate).astype(float)
+        empty = counted == 0.0
+        come += rng.poisson(6.0 * rate)[empty].sum()
+        predicted += expected_number(counted[empty], 48, 6, unseen_events(counted)).sum()
+        by_half_an_event += expected_number(counted[empty], 48, 6).sum()
+    # Some 800 events: 3.5 %, three of those and the half event that is added; each bin by itself says 10 times as much.
+    assert predicted / come == pytest.approx(1.0, abs=0.15)
+    assert by_half_an_event > 5.0 * come

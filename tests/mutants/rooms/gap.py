@@ -363,6 +363,16 @@ MUTANTS = (
         ("tests/gap/inference/test_calibrated_scatter.py::test_elements_that_say_little_of_a_spread_are_not_believed",),
     ),
     Mutant(
+        "every_empty_bin_may_hold_half_an_event",
+        "what is still to come in empty bins is as much as was seen once",
+        "torchweather.gap.statistics.counting",
+        "return min((once + METHOD.jeffreys_events) / max(never, 1), METHOD.jeffreys_events)",
+        "return METHOD.jeffreys_events",
+        (
+            "tests/gap/statistics/test_counting.py::test_what_is_still_to_come_in_empty_bins_is_as_much_as_was_seen_once",
+        ),
+    ),
+    Mutant(
         "bins_without_events_count_as_noise",
         "a statistic has as many entries as hold its noise",
         RESIDUAL,

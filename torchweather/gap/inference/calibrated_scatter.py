@@ -12,7 +12,7 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
@@ -23,7 +23,13 @@ from scipy.stats import chi2
 
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.frame_components import FrameComponents, between_share, frame_components
-from torchweather.gap.statistics.counting import ANSCOMBE, counted_variance, expected_number, one_event_sd
+from torchweather.gap.statistics.counting import (
+    ANSCOMBE,
+    counted_variance,
+    expected_number,
+    one_event_sd,
+    unseen_events,
+)
 from torchweather.gap.statistics.frame_statistics import COUNTED, TINY, Group, Layout, Pool
 
 __all__ = ["CalibratedScatter", "MeasuredSize", "calibrated_scatter", "log_sd_variance"]
@@ -93,7 +99,8 @@ def calibrated_scatter(
     components = {name: frame_components(pool, sizes[name].frames) for name, pool in pools.items()}
     share = between_share(layout, components)
     drawn = {name: _drawn(pool, sizes[name], seed, place) for place, (name, pool) in enumerate(pools.items())}
-    counted = {name: _Counted(layout, pool, sizes[name], share) for name, pool in pools.items()}
+    unseen = _unseen(layout, pools.values())
+    counted = {name: _Counted(layout, pool, sizes[name], share, unseen) for name, pool in pools.items()}
     variance = {name: _variance(layout, one, share, sizes[name].clear_frames) for name, one in drawn.items()}
     dispersion = _dispersion(layout, counted, variance)
     told = {name: _told(share, len(pool), sizes[name].clear_frames) for name, pool in pools.items()}
@@ -175,6 +182,23 @@ def _drawn(pool: Pool, size: MeasuredSize, seed: int, place: int) -> Floats:
     return found
 
 
+def _happened(group: Group, weight: Floats, value: Floats) -> Floats:
+    """Events: of a share, what happens less often."""
+    return value if group.kind == "count" else np.minimum(value, weight - value)
+
+
+def _unseen(layout: Layout, pools: Collection[Pool]) -> dict[str, float]:
+    """Events for which an empty bin of each counted statistic stands, over all bins and conditions."""
+    counted: dict[str, list[Floats]] = {}
+    for pool in pools:
+        for group, part in zip(layout.binned, layout.slices, strict=False):
+            if group.kind in COUNTED:
+                weight, value = pool.frames.weight[:, part], pool.frames.value[:, part]
+                there = weight.sum(0) > 0.0
+                counted.setdefault(group.statistic, []).append(_happened(group, weight, value).sum(0)[there])
+    return {name: unseen_events(np.concatenate(each)) for name, each in counted.items()}
+
+
 class _Counted:
     """The law of counting of the entries of one condition that are counts or shares.
 
@@ -183,9 +207,12 @@ class _Counted:
         pool: simulated frames.
         size: how much was measured.
         share: ``(P,)`` of the variance between clear frames.
+        unseen: statistic to the events for which an empty bin stands.
     """
 
-    def __init__(self, layout: Layout, pool: Pool, size: MeasuredSize, share: Floats) -> None:
+    def __init__(
+        self, layout: Layout, pool: Pool, size: MeasuredSize, share: Floats, unseen: Mapping[str, float]
+    ) -> None:
         frames, number = len(pool), size.frames
         # Of what only K clear frames tell, frames of one clear frame are no further knowledge.
         self.independent = 1.0 / ((1.0 - share) / frames + share / min(size.clear_frames, frames))
@@ -195,9 +222,10 @@ class _Counted:
             if group.kind not in COUNTED:
                 continue
             weight, value = (getattr(pool.frames, name)[:, part].mean(0) for name in ("weight", "value"))
-            happened = value if group.kind == "count" else np.minimum(value, weight - value)
+            happened = _happened(group, weight, value)
             independent = self.independent[part]
-            expected = expected_number(happened * independent, independent, number)
+            prior = np.where(happened > 0.0, METHOD.jeffreys_events, unseen[group.statistic])
+            expected = expected_number(happened * independent, independent, number, prior)
             self.expected[part], self.weight[part] = expected, number * weight
             self.variance[part] = counted_variance(group.kind, number * weight, expected)
 

@@ -2,10 +2,11 @@
 
 The square root of a count scatters by 1/2 where many are counted, by less where few are: of an expected 0.05 by 0.12.
 What simulated frames have never shown may still happen; with Jeffreys' prior, S events in N frames give an expected
-number of (S + 1/2) / N a frame.
+number of (S + 1/2) / N a frame. Of many bins most may never see one: what is still to come in all that are empty is as
+much as was seen once (Good and Turing).
 
 References:
-    Anscombe 1948 (square root of counts), Jeffreys 1946.
+    Anscombe 1948 (square root of counts), Jeffreys 1946, Good 1953.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from scipy.stats import poisson
 
 from torchweather.gap.inference.config import METHOD
 
-__all__ = ["ANSCOMBE", "counted_variance", "expected_number", "one_event_sd", "root_variance"]
+__all__ = ["ANSCOMBE", "counted_variance", "expected_number", "one_event_sd", "root_variance", "unseen_events"]
 
 Floats = NDArray[np.float64]
 
@@ -51,19 +52,39 @@ def root_variance(expected: Floats) -> Floats:
     return found
 
 
-def expected_number(counted: Floats, frames: Floats | float, number: int) -> Floats:
+def unseen_events(counted: Floats) -> float:
+    """Events for which each bin stands in which none was counted: those of all of them together are the bins with one.
+
+    Args:
+        counted: events of all bins, any shape, 0 or more.
+
+    Returns:
+        At most Jeffreys' half; half an event for all empty bins together where no bin has one.
+
+    Example:
+        >>> unseen_events(np.array([0.0] * 90 + [1.0] * 4 + [7.0])), unseen_events(np.array([0.0, 1.0, 1.0]))
+        (0.05, 0.5)
+    """
+    once, never = int(((counted > 0.0) & (counted < 1.5)).sum()), int((counted <= 0.0).sum())
+    return min((once + METHOD.jeffreys_events) / max(never, 1), METHOD.jeffreys_events)
+
+
+def expected_number(
+    counted: Floats, frames: Floats | float, number: int, prior: Floats | float = METHOD.jeffreys_events
+) -> Floats:
     """Expected number of events in ``number`` frames, after so many were counted in others.
 
     Args:
         counted: events, 0 or more.
         frames: independent ones in which they were counted.
         number: of frames.
+        prior: events that are added to those.
 
     Example:
         >>> expected_number(np.array([0.0, 12.0]), 48, 6).tolist()
         [0.0625, 1.5625]
     """
-    found: Floats = number * (np.asarray(counted, dtype=np.float64) + METHOD.jeffreys_events) / frames
+    found: Floats = number * (np.asarray(counted, dtype=np.float64) + prior) / frames
     return found
 
 
