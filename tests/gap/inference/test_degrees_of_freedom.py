@@ -58,4 +58,5 @@ def test_an_alarm_by_a_fitted_effect_knows_how_sure_its_noise_is() -> None:
     assert test.raised(60.0, ["ratio"]).p_value < 1e-8
     assert test.raised(60.0, ["floor"]).p_value > 1e-4
     assert test.raised(0.0, ["floor"]).p_value == 0.5
+    assert test.raised(60.0, ["of_no_response"]).p_value < 1e-8  # by the noise of all statistics
     assert test.threshold == pytest.approx(float(np.quantile(null, 1.0 - 2e-4)), rel=1e-6)

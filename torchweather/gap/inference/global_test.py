@@ -74,7 +74,8 @@ class GlobalTest:
 
     def raised(self, gain: float, effects: Collection[str]) -> GlobalTest:
         """With an alarm by effects that were fitted in the simulator, where that is the larger one."""
-        degrees = min(own for one, own in zip(self.templates, self.degrees, strict=True) if one.id in effects)
+        along = (own for one, own in zip(self.templates, self.degrees, strict=True) if one.id in effects)
+        degrees = min(along, default=self.degrees_of_all)
         tail = _tail(self.best_null, float(as_of_known_noise(max(gain, 0.0), degrees)))
         return replace(self, p_value=min(self.p_value, METHOD.departures * tail))
 
