@@ -18,7 +18,7 @@ from torchweather.atmosphere.weather import Snow
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.forward_selection import find_gap_with
 from torchweather.gap.inference.global_test import run_global_test
-from torchweather.gap.inference.likelihood import INTENSITY_STEP, Fit, ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import INTENSITY_STEP, Fit, ParameterPoint, SimulatorLikelihood, _portions
 from torchweather.gap.inference.location_search import located
 from torchweather.gap.inference.simulated_distribution import observations, simulated_distribution
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
@@ -77,6 +77,13 @@ def test_null_residuals_have_the_moments_of_noise_and_nuisance(null: SimulatorLi
     left = one(np.eye(len(expected)))
     of_misfit = len(expected) - float(np.diag(left) @ (1.0 - expected))
     assert misfit.mean() == pytest.approx(of_misfit, rel=0.05)
+
+
+@pytest.mark.parametrize(("clear_frames", "number"), [((8, 12), 128), ((8, 3), 342), ((1,), 1024)])
+def test_few_clear_frames_have_more_portions(clear_frames: tuple[int, ...], number: int) -> None:
+    """A thousand portions of different clear frames, for the scene that has fewest."""
+    measured: Any = [SimpleNamespace(clear_frames=one) for one in clear_frames]
+    assert _portions(measured) == number
 
 
 def test_null_residuals_of_counts_go_together(null: SimulatorLikelihood) -> None:

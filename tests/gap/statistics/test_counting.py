@@ -62,6 +62,6 @@ def test_what_is_still_to_come_in_empty_bins_is_as_much_as_was_seen_once() -> No
         come += rng.poisson(6.0 * rate)[empty].sum()
         predicted += expected_number(counted[empty], 48, 6, unseen_events(counted)).sum()
         by_half_an_event += expected_number(counted[empty], 48, 6).sum()
-    # Some 800 events: 3.5 %, three of those and the half event that is added; each bin by itself says 10 times as much.
+    # Some 440 events: 5 %, three of those. Half an event for each bin by itself is 10 times as much.
     assert predicted / come == pytest.approx(1.0, abs=0.15)
     assert by_half_an_event > 5.0 * come

@@ -373,6 +373,14 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "as_many_portions_whatever_the_clear_frames",
+        "the fewer clear frames, the more portions: correlations of many entries need a thousand of them",
+        "torchweather.gap.inference.likelihood",
+        "max(METHOD.portioned_frames / max(clear, 1), 1.0)",
+        "1.0",
+        ("tests/gap/inference/test_likelihood.py::test_few_clear_frames_have_more_portions",),
+    ),
+    Mutant(
         "bins_without_events_count_as_noise",
         "a statistic has as many entries as hold its noise",
         RESIDUAL,

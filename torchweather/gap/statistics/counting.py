@@ -2,8 +2,8 @@
 
 The square root of a count scatters by 1/2 where many are counted, by less where few are: of an expected 0.05 by 0.12.
 What simulated frames have never shown may still happen; with Jeffreys' prior, S events in N frames give an expected
-number of (S + 1/2) / N a frame. Of many bins most may never see one: what is still to come in all that are empty is as
-much as was seen once (Good and Turing).
+number of (S + 1/2) / N a frame. Most bins of some statistics can never hold an event. All empty bins together then
+stand for as many events as there are bins with one (Good and Turing).
 
 References:
     Anscombe 1948 (square root of counts), Jeffreys 1946, Good 1953.
