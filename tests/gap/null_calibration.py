@@ -93,7 +93,7 @@ def null_study(study: Study, templates: bool = True) -> NullStudy:
     misfit_p = float(((noise**2).sum(1) >= (left**2).sum()).mean())
     gain_p = float("nan")
     if alarm is not None:
-        gain_p = float((alarm.best_null >= as_of_known_noise(alarm.gains, alarm.degrees).max()).mean())
+        gain_p = float((alarm.best_null >= as_of_known_noise(alarm.gains, alarm.degrees_of_freedom).max()).mean())
     return NullStudy(
         by_statistic(left**2), by_statistic(drawn), gain_p, misfit_p, float("nan") if alarm is None else alarm.p_value
     )

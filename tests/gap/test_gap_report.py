@@ -76,7 +76,7 @@ def base(mean: float = 0.5, whole: float = 1.0, **off: Floats) -> SimulatedDistr
         shared={},
         expected=ones,
         event=ones,
-        degrees=ones,
+        degrees_of_freedom=ones,
         told_by_clear=ones,
     )
 
@@ -429,14 +429,14 @@ def test_the_answer_says_where_it_comes_from() -> None:
 
 
 @pytest.mark.parametrize("total", [10.0, 1100.0, 1300.0, 1e5])
-@pytest.mark.parametrize("degrees", [2, 16, 40])
-def test_small_chances_are_told_apart_beyond_what_a_float_holds(total: float, degrees: int) -> None:
+@pytest.mark.parametrize("degrees_of_freedom", [2, 16, 40])
+def test_small_chances_are_told_apart_beyond_what_a_float_holds(total: float, degrees_of_freedom: int) -> None:
     """For an even number of degrees it is exp(-x) times the first terms of exp(x), x half the sum of squares."""
     half = total / 2.0
-    terms = sum(half ** (k - degrees / 2 + 1) / math.factorial(k) for k in range(degrees // 2))
-    wanted = math.log(terms) + (degrees / 2 - 1) * math.log(half) - half
+    terms = sum(half ** (k - degrees_of_freedom / 2 + 1) / math.factorial(k) for k in range(degrees_of_freedom // 2))
+    wanted = math.log(terms) + (degrees_of_freedom / 2 - 1) * math.log(half) - half
     # Of the asymptote's terms two are kept; the third is (19 18 / 550^2) at most.
-    assert log_chance(total, degrees) == pytest.approx(wanted, abs=2e-3)
+    assert log_chance(total, degrees_of_freedom) == pytest.approx(wanted, abs=2e-3)
 
 
 # ---- the model and its file ----------------------------------------------------------------------------------------

@@ -101,18 +101,18 @@ def spreads(clear: int, seed: int, uneven: float = 0.0) -> tuple[NDArray[np.floa
     unit = 0.15 / math.sqrt(3.0)  # the logarithm of a root: half of 30 %
     elements = unit * 0.9 * np.exp(uneven * rng.normal(size=BINS))
     found = calibrated_scatter({"snow": pool}, {"snow": MeasuredSize(3, clear)}, {"snow": elements}, seed)["snow"]
-    return np.sqrt(found.own - METHOD.log_spread_error**2) / unit, found.degrees
+    return np.sqrt(found.own - METHOD.log_spread_error**2) / unit, found.degrees_of_freedom
 
 
 def test_few_clear_frames_do_not_make_a_spread_sure() -> None:
     """Five clear frames tell a variance to 70 %, elements in 40 bins that go with it to a few percent."""
-    ratio, degrees = map(np.concatenate, zip(*(spreads(5, seed) for seed in range(20)), strict=True))
+    ratio, degrees_of_freedom = map(np.concatenate, zip(*(spreads(5, seed) for seed in range(20)), strict=True))
     logs = np.log(ratio)
     assert abs(logs.mean()) < 0.1
     assert logs.std() < 0.2  # 0.38 by five frames alone
-    assert np.median(degrees) > METHOD.element_law_degrees
+    assert np.median(degrees_of_freedom) > METHOD.element_law_degrees
 
 
 def test_elements_that_say_little_of_a_spread_are_not_believed() -> None:
-    degrees = np.concatenate([spreads(5, seed, uneven=1.5)[1] for seed in range(5)])
-    assert np.median(degrees) < 4.0 + 0.2 * METHOD.element_law_degrees
+    degrees_of_freedom = np.concatenate([spreads(5, seed, uneven=1.5)[1] for seed in range(5)])
+    assert np.median(degrees_of_freedom) < 4.0 + 0.2 * METHOD.element_law_degrees

@@ -1,4 +1,4 @@
-"""Gains over noise that few frames tell: Student's law against scipy, degrees against drawn scatters."""
+"""Gains over noise that few frames tell: Student's law against scipy, degrees of freedom against drawn scatters."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ EDGES = (0.0, 1.0, 2.0)
 LAYOUT = Layout((Group("floor", "x", "share", EDGES), Group("ratio", "x", "mean", EDGES)), (), (), ())
 
 
-@pytest.mark.parametrize("degrees", [3.0, 7.0, 30.0])
+@pytest.mark.parametrize("degrees_of_freedom", [3.0, 7.0, 30.0])
 @pytest.mark.parametrize("chance", [0.1, 1e-3, 1e-6])
-def test_a_square_is_as_unlikely_as_that_of_a_normal_number(degrees: float, chance: float) -> None:
-    square = float(t.isf(0.5 * chance, degrees)) ** 2
-    found = float(as_of_known_noise(square, degrees))
+def test_a_square_is_as_unlikely_as_that_of_a_normal_number(degrees_of_freedom: float, chance: float) -> None:
+    square = float(t.isf(0.5 * chance, degrees_of_freedom)) ** 2
+    found = float(as_of_known_noise(square, degrees_of_freedom))
     # Wallace's formula: to 4 % of the normal number.
     assert np.sqrt(found) == pytest.approx(float(np.sqrt(chi2.isf(chance, 1))), rel=0.04)
-    assert beyond_known_noise(found, degrees) == pytest.approx(square, rel=1e-9)
+    assert beyond_known_noise(found, degrees_of_freedom) == pytest.approx(square, rel=1e-9)
     assert as_of_known_noise(square, np.inf) == pytest.approx(square, rel=1e-9)
 
 
@@ -32,7 +32,7 @@ def degrees_of(floor: float, ratio: float, used: list[bool], told: float = 0.0) 
     base: Any = SimpleNamespace(
         used={"c": np.array(used)},
         expected={"c": np.array([1.0, 0.5, 1.0, 1.0])},
-        degrees={"c": np.array([floor, floor, ratio, ratio])},
+        degrees_of_freedom={"c": np.array([floor, floor, ratio, ratio])},
         told_by_clear={"c": np.full(4, told)},
     )
     return StatisticDegrees(LAYOUT, base, ["c"])

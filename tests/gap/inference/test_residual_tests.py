@@ -115,7 +115,7 @@ def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
             expected={"c0": each, "c1": np.where(each == 0.5, 0.25, each)},
             used=used,
             event=dict.fromkeys(names, 4.0 * each),
-            degrees=dict.fromkeys(names, 10.0 + each),
+            degrees_of_freedom=dict.fromkeys(names, 10.0 + each),
         )
     )
     search: Any = SimpleNamespace(
@@ -128,7 +128,7 @@ def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
     levels = np.repeat([[1.0, 0.5, 0.25, METHOD.least_level], [1.0, 0.25, 0.25, METHOD.least_level]], 3, axis=1)
     np.testing.assert_allclose(found.noise, levels, rtol=1e-12)
     np.testing.assert_array_equal(found.event, [4.0 * each] * 2)
-    np.testing.assert_array_equal(found.degrees, [10.0 + each] * 2)
+    np.testing.assert_array_equal(found.degrees_of_freedom, [10.0 + each] * 2)
 
 
 def test_bins_without_events_make_no_statistic_of_many_entries() -> None:
@@ -165,11 +165,11 @@ def test_first_events_are_no_miracle(expected: float) -> None:
 
 def test_a_scatter_that_few_frames_tell_is_no_sure_measure() -> None:
     """Normal numbers over a scatter that four of their kind tell: F, not chi-square; alike in five bins of it."""
-    rng, degrees = RNG(7), 4.0
-    scale = rng.chisquare(degrees, 200_000) / degrees
+    rng, degrees_of_freedom = RNG(7), 4.0
+    scale = rng.chisquare(degrees_of_freedom, 200_000) / degrees_of_freedom
     squares = (rng.normal(size=(200_000, 5)) ** 2).sum(1) / scale
     shape = (1, 5)
-    one = ResidualTest(np.zeros(5, int), np.ones(shape, bool), np.ones(shape), 0.0, np.full(shape, degrees))
+    one = ResidualTest(np.zeros(5, int), np.ones(shape, bool), np.ones(shape), 0.0, np.full(shape, degrees_of_freedom))
     for chance in (0.1, 1e-2, 1e-3):
         left = np.full(5, np.sqrt(np.quantile(squares, 1.0 - chance) / 5.0))
         # 200 of 200,000 scatter by 7 %; three of those.

@@ -108,7 +108,7 @@ def base(mean: float = 0.0) -> SimulatedDistribution:
         shared=nothing,
         expected=one,
         event=nothing,
-        degrees=one,
+        degrees_of_freedom=one,
         told_by_clear=nothing,
     )
 
@@ -124,7 +124,7 @@ def covariance(columns: Any) -> Any:
 
 def test_what_whole_frames_do_is_the_pooled_variance_of_clear_frames() -> None:
     """In the mean of a scene's clear frames, in all its conditions alike, and in each condition's own frames."""
-    degrees = sum(number - 1 for number in CLEAR.values())
+    degrees_of_freedom = sum(number - 1 for number in CLEAR.values())
     pooled = np.zeros((SIZE, SIZE))
     for scene in CLEAR:
         each = of_frames(scene)
@@ -136,10 +136,10 @@ def test_what_whole_frames_do_is_the_pooled_variance_of_clear_frames() -> None:
         }
         for name, part in (("ratio", RATIO), ("apart", APART)):  # not of particles: clear frames hardly have any
             entries[:, part] = each[:, part] - even[name][:, None]
-            pooled[part, part] += (even[name] ** 2).sum() / degrees
+            pooled[part, part] += (even[name] ** 2).sum() / degrees_of_freedom
         for one in entries:
-            pooled += np.outer(one, one) / degrees
-    pooled *= stats.t.isf(0.5e-3, degrees) ** 2 / stats.norm.isf(0.5e-3) ** 2
+            pooled += np.outer(one, one) / degrees_of_freedom
+    pooled *= stats.t.isf(0.5e-3, degrees_of_freedom) ** 2 / stats.norm.isf(0.5e-3) ** 2
     search, at = bare(), base()
     departures = frame_departures(search.model, search.measured)
     found = covariance(clear_errors(departures, search.measured, set(), partial(search._column, at)))
@@ -243,12 +243,12 @@ def test_the_noise_of_elements_is_nothing_that_whole_frames_do(clock: float) -> 
 
 def test_a_scatter_known_from_few_frames_is_widened_as_student_has_it() -> None:
     # Two-sided one in a thousand, from tables of Student's t; 3.2905 of the normal law.
-    for degrees, quantile in ((1, 636.62), (5, 6.869), (10, 4.587), (30, 3.646), (120, 3.373)):
-        assert widened(degrees) == pytest.approx((quantile / 3.2905) ** 2, rel=1e-3)
+    for degrees_of_freedom, quantile in ((1, 636.62), (5, 6.869), (10, 4.587), (30, 3.646), (120, 3.373)):
+        assert widened(degrees_of_freedom) == pytest.approx((quantile / 3.2905) ** 2, rel=1e-3)
         # The normal law of that variance reaches as far as often.
-        reach = stats.t.ppf(1.0 - 0.5 * METHOD.frame_noise_p, degrees)
-        assert 2.0 * stats.norm.sf(reach / math.sqrt(widened(degrees))) == pytest.approx(1e-3, rel=1e-6)
-    each = [widened(degrees) for degrees in range(1, 60)]
+        reach = stats.t.ppf(1.0 - 0.5 * METHOD.frame_noise_p, degrees_of_freedom)
+        assert 2.0 * stats.norm.sf(reach / math.sqrt(widened(degrees_of_freedom))) == pytest.approx(1e-3, rel=1e-6)
+    each = [widened(degrees_of_freedom) for degrees_of_freedom in range(1, 60)]
     assert each == sorted(each, reverse=True)
     assert widened(10**7) == pytest.approx(1.0, abs=1e-5)
 

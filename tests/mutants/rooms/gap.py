@@ -149,8 +149,8 @@ MUTANTS = (
         "t_interval_taken_as_normal",
         "few degrees of freedom widen the noise of whole frames",
         RANDOM_EFFECTS,
-        "/ stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 2)",
-        "/ stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 0)",
+        "/ stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 2",
+        "/ stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 0",
         (
             (
                 "tests/gap/statistics/test_frame_random_effects.py::"
@@ -350,7 +350,7 @@ MUTANTS = (
         "spread_by_few_clear_frames_alone",
         "the noise of elements tells of a spread what few clear frames do not",
         "torchweather.gap.inference.calibrated_scatter",
-        "prior = np.where(law > TINY**2, by_law.degrees, 0.0)",
+        "prior = np.where(law > TINY**2, by_law.degrees_of_freedom, 0.0)",
         "prior = np.where(law > TINY**2, 0.0, 0.0)",
         ("tests/gap/inference/test_calibrated_scatter.py::test_few_clear_frames_do_not_make_a_spread_sure",),
     ),

@@ -68,7 +68,7 @@ class CalibratedScatter:
             anything can happen.
         event: square of a departure by one event beyond the expected ones, over the sum of the three; 0 of what has
             none.
-        degrees: of freedom with which the sum of the three is known: of Student's law of a departure.
+        degrees_of_freedom: with which the sum of the three is known: of Student's law of a departure.
         told_by_clear: share of what is not known of it that clear frames make: it is the same in all statistics.
     """
 
@@ -80,7 +80,7 @@ class CalibratedScatter:
     shared: NDArray[np.bool_]
     expected: Floats
     event: Floats
-    degrees: Floats
+    degrees_of_freedom: Floats
     told_by_clear: Floats
 
 
@@ -133,11 +133,11 @@ class _SpreadLaw:
 
     Args:
         over: what simulated frames show over the law, over all bins and conditions of a statistic.
-        degrees: by how far single bins keep to that, beyond what few clear frames make of them.
+        degrees_of_freedom: by how far single bins keep to that, beyond what few clear frames make of them.
     """
 
     over: float
-    degrees: float
+    degrees_of_freedom: float
 
 
 def _spread_laws(
@@ -147,14 +147,14 @@ def _spread_laws(
     found: dict[str, _SpreadLaw] = {}
     for name in dict.fromkeys(group.statistic for group in layout.groups if group.kind == "spread"):
         own = layout.each(partial(_is_spread, name))
-        law, shown, degrees = (
+        law, shown, degrees_of_freedom = (
             np.concatenate([one[condition][own] for condition in elements]) for one in (elements, variance, told)
         )
         some = (law > TINY) & (shown > TINY**2)
         if some.sum() < 2:
             continue
         # The logarithm of an estimated variance has the mean and the variance of one of chi-square.
-        half = 0.5 * degrees[some]
+        half = 0.5 * degrees_of_freedom[some]
         ratio = np.log(shown[some] / law[some] ** 2) - (digamma(half) - np.log(half))
         beyond = float(ratio.var(ddof=1)) - float(polygamma(1, half).mean())
         most = METHOD.element_law_degrees
@@ -299,9 +299,11 @@ def log_sd_variance(number: int, variance: float, steady: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def _squares_over_variance(degrees: int) -> Floats:
+def _squares_over_variance(degrees_of_freedom: int) -> Floats:
     """Quantiles ``(METHOD.quantiles,)`` of an estimated variance over the true one."""
-    found: Floats = chi2.ppf((np.arange(METHOD.quantiles) + 0.5) / METHOD.quantiles, degrees) / degrees
+    found: Floats = (
+        chi2.ppf((np.arange(METHOD.quantiles) + 0.5) / METHOD.quantiles, degrees_of_freedom) / degrees_of_freedom
+    )
     found.flags.writeable = False
     return found
 
@@ -322,7 +324,7 @@ def _scatter(
     variance = _variance(layout, draws, share, clear) * (1.0 + np.minimum(components.unsure, METHOD.most_unsure))
     told = _told(share, frames, clear)
     by_clear_frames = share * told / max(min(clear, frames) - 1, 1)
-    degrees = np.where(layout.by_elements, np.inf, told)
+    degrees_of_freedom = np.where(layout.by_elements, np.inf, told)
     own, simulated, of_clear = np.zeros(layout.size), np.zeros(layout.size), np.zeros(layout.size)
     expected, event = np.ones(layout.size), np.zeros(layout.size)
     model_error = pool.known_to(number, size.misplaced) ** 2
@@ -346,7 +348,7 @@ def _scatter(
             known, prior, least = counted.told()[part], counted.prior()[part], counted.least(group, part, alike)
             law = alike * counted.variance[part]
             mixed = (known * variance[part] + prior * law) / (known + prior)
-            degrees[part] = known + prior
+            degrees_of_freedom[part] = known + prior
             share_of_null = layout.scatter_share.get(group.statistic, 1.0)
             mixed = mixed * share_of_null
             own[part] = np.maximum(mixed, least)
@@ -367,14 +369,14 @@ def _scatter(
             own[part] = (1.0 - by_clear) * variance[part] + by_clear * of_clear_noise
             simulated[part] = variance[part] * number / frames
             of_clear[part] = by_clear * log_sd_variance(clear, scatter, steady)
-            degrees[part] = 1.0 / ((1.0 - by_clear) / frames + by_clear / max(clear - 1, 1))
-            by_clear_frames[part] = by_clear * degrees[part] / max(clear - 1, 1)
+            degrees_of_freedom[part] = 1.0 / ((1.0 - by_clear) / frames + by_clear / max(clear - 1, 1))
+            by_clear_frames[part] = by_clear * degrees_of_freedom[part] / max(clear - 1, 1)
         elif group.kind == "slope":
             by_clear = float(components.of_scalars[layout.scalars.index(group.statistic)])
             slope_unsure = 2.0 * ((1.0 - by_clear) / frames + by_clear / max(clear - 1, 1))
             own[part] = draws[:, part].var(0, ddof=1) * (1.0 + min(slope_unsure, METHOD.most_unsure))
-            degrees[part] = 2.0 / slope_unsure
-            by_clear_frames[part] = by_clear * degrees[part] / max(clear - 1, 1)
+            degrees_of_freedom[part] = 2.0 / slope_unsure
+            by_clear_frames[part] = by_clear * degrees_of_freedom[part] / max(clear - 1, 1)
         elif group.kind == "persistence":
             # Maps are nearly empty where little falls: one return that two frames share by chance is no discovery.
             least_sd = math.sqrt(2.0 / max(number * (number - 1), 2)) / METHOD.one_event_sd
@@ -389,9 +391,9 @@ def _scatter(
                 own[part] = variance[part]
             else:
                 law = by_law.over * elements[part] ** 2
-                prior = np.where(law > TINY**2, by_law.degrees, 0.0)
+                prior = np.where(law > TINY**2, by_law.degrees_of_freedom, 0.0)
                 own[part] = (told[part] * variance[part] + prior * law) / (told[part] + prior)
-                degrees[part] += prior
+                degrees_of_freedom[part] += prior
             simulated[part] = own[part] * (1.0 - share[part]) * number / frames
             of_clear[part] = own[part] * share[part] * number / clear
     before = own + simulated + of_clear
@@ -407,6 +409,6 @@ def _scatter(
         shared=layout.averages | from_clear | layout.each(lambda group: group.kind == "spread"),
         expected=np.minimum(expected, 1.0),
         event=event / whole,
-        degrees=degrees,
+        degrees_of_freedom=degrees_of_freedom,
         told_by_clear=by_clear_frames,
     )

@@ -37,14 +37,14 @@ class StatisticDegrees:
         statistics = [group.statistic for group in layout.groups for _ in range(group.bins)]
         numbers = {one: place for place, one in enumerate(dict.fromkeys(statistics))}
         self.places = np.tile([numbers[one] for one in statistics], len(names))
-        used, expected, degrees, told = (
+        used, expected, degrees_of_freedom, told = (
             np.concatenate([getattr(base, field)[name] for name in names])
-            for field in ("used", "expected", "degrees", "told_by_clear")
+            for field in ("used", "expected", "degrees_of_freedom", "told_by_clear")
         )
         self.level = self._summed(used * expected)
         # One over the degrees of freedom: what each statistic has for itself, and what all have in common.
         self.own, self.common = (
-            self._summed(used * expected * share / degrees) / np.maximum(self.level, 1e-300)
+            self._summed(used * expected * share / degrees_of_freedom) / np.maximum(self.level, 1e-300)
             for share in (1.0 - told, told)
         )
 
@@ -67,25 +67,25 @@ class StatisticDegrees:
         return 1.0 / found if found > 0.0 else float("inf")
 
 
-def as_of_known_noise(square: Floats | float, degrees: Floats | float) -> Floats:
+def as_of_known_noise(square: Floats | float, degrees_of_freedom: Floats | float) -> Floats:
     """Square of a normal number that is as unlikely as a square in units of a scatter with degrees of freedom.
 
     Example:
         >>> float(as_of_known_noise(25.0, 10.0).round(2)), float(as_of_known_noise(25.0, 1e9).round(2))
         (11.93, 25.0)
     """
-    nu = np.minimum(np.asarray(degrees, dtype=np.float64), 1e15)
+    nu = np.minimum(np.asarray(degrees_of_freedom, dtype=np.float64), 1e15)
     return np.asarray(_scale(nu) * nu * np.log1p(np.asarray(square) / nu), dtype=np.float64)
 
 
-def beyond_known_noise(square: float, degrees: float) -> float:
+def beyond_known_noise(square: float, degrees_of_freedom: float) -> float:
     """The other way: a square over a scatter with degrees of freedom, as unlikely as one of a normal number.
 
     Example:
         >>> round(beyond_known_noise(11.93, 10.0), 1)
         25.0
     """
-    nu = min(degrees, 1e15)
+    nu = min(degrees_of_freedom, 1e15)
     return float(nu * np.expm1(min(square / (_scale(nu) * nu), 700.0)))
 
 

@@ -51,7 +51,7 @@ class GlobalTest:
         gains: ``(templates,)`` delta chi-square of each.
         best_null: ``(R,)`` largest gain of each null, of noise that is known.
         misfit_null: ``(R,)``.
-        degrees: ``(templates,)`` of freedom of the noise along each response.
+        degrees_of_freedom: ``(templates,)`` of the noise along each response.
         degrees_of_all: the same of all statistics together.
         residual_test: noise of each statistic by itself.
         p_value: of the largest of the four departures: along a response, of all entries, of one statistic, of what all
@@ -66,7 +66,7 @@ class GlobalTest:
     gains: Floats
     best_null: Floats
     misfit_null: Floats
-    degrees: Floats
+    degrees_of_freedom: Floats
     degrees_of_all: float
     residual_test: ResidualTest
     p_value: float
@@ -74,9 +74,9 @@ class GlobalTest:
 
     def raised(self, gain: float, effects: Collection[str]) -> GlobalTest:
         """With an alarm by effects that were fitted in the simulator, where that is the larger one."""
-        along = (own for one, own in zip(self.templates, self.degrees, strict=True) if one.id in effects)
-        degrees = min(along, default=self.degrees_of_all)
-        tail = _tail(self.best_null, float(as_of_known_noise(max(gain, 0.0), degrees)))
+        along = (own for one, own in zip(self.templates, self.degrees_of_freedom, strict=True) if one.id in effects)
+        degrees_of_freedom = min(along, default=self.degrees_of_all)
+        tail = _tail(self.best_null, float(as_of_known_noise(max(gain, 0.0), degrees_of_freedom)))
         return replace(self, p_value=min(self.p_value, METHOD.departures * tail))
 
     @property
@@ -114,11 +114,11 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
     best_null = best_of_places(of_nulls, placed, _sectors(search), seed)
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
     known = StatisticDegrees(search.model.layout, search.start, [target.condition.id for target in search.measured])
-    degrees = np.array([known.of(template.response) for template in templates])
+    degrees_of_freedom = np.array([known.of(template.response) for template in templates])
     gain = delta_chi2(templates, left[None], nuisance)[0]
     misfit = search.misfit(residual, nuisance)
     counted = counted_entries(search)
-    p_gain = _tail(best_null, float(as_of_known_noise(gain, degrees).max()))
+    p_gain = _tail(best_null, float(as_of_known_noise(gain, degrees_of_freedom).max()))
     of_all = min(known.of_all, METHOD.known_degrees)
     unsure = np.random.default_rng([seed, 49979687]).chisquare(of_all, len(misfit_null)) / of_all
     p_misfit = _tail(misfit_null / unsure, misfit)
@@ -133,7 +133,7 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
         gain,
         best_null,
         misfit_null,
-        degrees,
+        degrees_of_freedom,
         known.of_all,
         each,
         p_value,

@@ -37,14 +37,14 @@ class ResidualTest:
         used: ``(C, P)`` entries that count.
         noise: ``(C, P)`` square of an entry that noise leaves at the mean.
         event: ``(C, P)`` square that one event beyond the expected ones makes of an entry; 0 of what has none.
-        degrees: ``(C, P)`` of freedom with which that noise is known.
+        degrees_of_freedom: ``(C, P)``, with which that noise is known.
     """
 
     places: NDArray[np.intp]
     used: NDArray[np.bool_]
     noise: Floats
     event: Floats | float = 0.0
-    degrees: Floats | float = np.inf
+    degrees_of_freedom: Floats | float = np.inf
 
     @property
     def groups(self) -> int:
@@ -59,7 +59,7 @@ class ResidualTest:
         """Probability that noise leaves as much in the group that departs most, of as many groups as there are."""
         level = self.noise * self.used
         uneven = level**2 + self._of_events()
-        sums = [self._summed(one.sum(0)) for one in (level, uneven, level / self.degrees)]
+        sums = [self._summed(one.sum(0)) for one in (level, uneven, level / self.degrees_of_freedom)]
         return self._least(sums[0], sums[1], sums[2], self.squares(left))
 
     def common_p_value(self, left: Floats) -> float:
@@ -69,7 +69,7 @@ class ResidualTest:
         common = self.used.sum(0) > 1
         pattern = common * (left.reshape(self.used.shape) * self.used).sum(0) / np.sqrt(number)
         noise = common * self.noise * self.used / number
-        level, unsure = noise.sum(0), (noise / self.degrees).sum(0)
+        level, unsure = noise.sum(0), (noise / self.degrees_of_freedom).sum(0)
         uneven = level**2 + common * (self._of_events() / number**2).sum(0)
         sums = [self._summed(one) for one in (level, uneven, unsure, pattern**2)]
         return self._least(sums[0], sums[1], sums[2], sums[3])
@@ -99,8 +99,10 @@ class ResidualTest:
         level, uneven, unsure, squares = level[some], uneven[some], unsure[some], squares[some]
         entries = level**2 / uneven
         known = unsure * METHOD.known_degrees <= level
-        degrees = level / np.where(known, level, unsure)
-        each = np.where(known, chi2.sf(squares * level / uneven, entries), f.sf(squares / level, entries, degrees))
+        degrees_of_freedom = level / np.where(known, level, unsure)
+        each = np.where(
+            known, chi2.sf(squares * level / uneven, entries), f.sf(squares / level, entries, degrees_of_freedom)
+        )
         return float(min(1.0, some.sum() * each.min()))
 
     def excess(self, left: Floats) -> float:
@@ -117,8 +119,8 @@ def residual_test(search: SimulatorLikelihood, base: Fit) -> ResidualTest:
     """
     layout, names = search.model.layout, [target.condition.id for target in search.measured]
     places = np.repeat(np.arange(len(layout.groups)), [group.bins for group in layout.groups])
-    used, expected, event, degrees = (
+    used, expected, event, degrees_of_freedom = (
         np.stack([getattr(base.base, field)[name] for name in names])
-        for field in ("used", "expected", "event", "degrees")
+        for field in ("used", "expected", "event", "degrees_of_freedom")
     )
-    return ResidualTest(places, used, np.maximum(expected, METHOD.least_level), event, degrees)
+    return ResidualTest(places, used, np.maximum(expected, METHOD.least_level), event, degrees_of_freedom)

@@ -219,7 +219,7 @@ class SimulatedDistribution:
             hardly anything can happen.
         event: condition to ``(P,)`` square of one event beyond the expected ones, in the same units; 0 of what has
             none.
-        degrees: condition to ``(P,)`` degrees of freedom with which that scatter is known.
+        degrees_of_freedom: condition to ``(P,)`` degrees of freedom with which that scatter is known.
         told_by_clear: condition to ``(P,)`` share of what is not known of it that is alike in all statistics: by the
             clear frames.
     """
@@ -234,7 +234,7 @@ class SimulatedDistribution:
     shared: Mapping[str, Floats]
     expected: Mapping[str, Floats]
     event: Mapping[str, Floats]
-    degrees: Mapping[str, Floats]
+    degrees_of_freedom: Mapping[str, Floats]
     told_by_clear: Mapping[str, Floats]
 
     def whitened(self, name: str, difference: Floats) -> Floats:
@@ -308,7 +308,7 @@ def simulated_distribution(
         shared=shared,
         expected={name: one.expected for name, one in found.items()},
         event={name: one.event for name, one in found.items()},
-        degrees={name: one.degrees for name, one in found.items()},
+        degrees_of_freedom={name: one.degrees_of_freedom for name, one in found.items()},
         told_by_clear={name: one.told_by_clear for name, one in found.items()},
     )
 

@@ -198,20 +198,20 @@ def _most_significant(
     return group, part
 
 
-def log_chance(total: float, degrees: int) -> float:
+def log_chance(total: float, degrees_of_freedom: int) -> float:
     """Logarithm of the probability that a sum of so many squares is as large by chance.
 
     Example:
         >>> round(log_chance(3.84, 1), 2), round(log_chance(1e5, 2))
         (-2.99, -50000)
     """
-    if degrees == 0:
+    if degrees_of_freedom == 0:
         return 0.0
-    found = float(chi2.logsf(total, degrees))
+    found = float(chi2.logsf(total, degrees_of_freedom))
     if found > DEEP:
         return found
     # Leading terms of the incomplete gamma function for large arguments.
-    half, shape = 0.5 * total, 0.5 * degrees
+    half, shape = 0.5 * total, 0.5 * degrees_of_freedom
     return float(-half + (shape - 1.0) * math.log(half) - gammaln(shape) + math.log1p((shape - 1.0) / half))
 
 

@@ -54,8 +54,8 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
     moved = layout.each(lambda group: group.axis != PARTICLE_AXIS and group.kind in ("mean", "spread"))
     statistic = layout.each(lambda group: group.statistic)
     scenes = {target.condition.scene: target.clear_frames for target in measured}
-    degrees = sum(scenes.values()) - len(scenes)
-    if degrees < 1:
+    degrees_of_freedom = sum(scenes.values()) - len(scenes)
+    if degrees_of_freedom < 1:
         return []
     residuals: list[Floats] = []  # summed up in square: the variance of a frame
     evenly: dict[str, float] = {}  # variance of a mean over all elements
@@ -72,16 +72,16 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
             even = (values - values.mean()) * less
             apart -= even[:, None] * (layout.averages & (statistic == name))
             excess = float((even**2).sum()) - (number - 1) * variance
-            evenly[name] = evenly.get(name, 0.0) + excess / degrees
-        found += (apart**2).sum(0) / degrees
-        expected += noise * (number - 1) / degrees
-        residuals += list(apart / math.sqrt(degrees))
+            evenly[name] = evenly.get(name, 0.0) + excess / degrees_of_freedom
+        found += (apart**2).sum(0) / degrees_of_freedom
+        expected += noise * (number - 1) / degrees_of_freedom
+        residuals += list(apart / math.sqrt(degrees_of_freedom))
     share = np.zeros(layout.size)
     for name in set(statistic[moved]):
         own = moved & (statistic == name) & (found > 0)
         if own.any():
             share[own] = max(1.0 - 1.0 / float(np.mean(found[own] / np.maximum(expected[own], TINY))), 0.0)
-    widening = math.sqrt(widened(degrees))
+    widening = math.sqrt(widened(degrees_of_freedom))
     one_frame = [FrameDeparture(widening * np.sqrt(share) * residual) for residual in residuals if share.any()]
     # A few frames do not tell how an even shift of all entries looks: it is known.
     for name, variance in evenly.items():
@@ -150,7 +150,7 @@ def model_errors(
     return [column(each), *(column({place: own}) for place, own in each.items())]
 
 
-def widened(degrees: int) -> float:
+def widened(degrees_of_freedom: int) -> float:
     """Variance at which the normal law reaches as far, one time in 1,000, as Student's of a scatter known from so many
     degrees of freedom.
 
@@ -158,4 +158,6 @@ def widened(degrees: int) -> float:
         >>> round(widened(14), 2), round(widened(2), 1)
         (1.58, 92.2)
     """
-    return float((stats.t.isf(0.5 * METHOD.frame_noise_p, degrees) / stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 2)
+    return float(
+        (stats.t.isf(0.5 * METHOD.frame_noise_p, degrees_of_freedom) / stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 2
+    )

@@ -311,10 +311,10 @@ class LidarFrames:
 def _clear_scale_sd(scenes: Mapping[str, LidarScene]) -> dict[str, float]:
     """Standard deviation of the logarithm of the scale of each scene's clear mean, from how frames of all differ."""
     squares = sum(float(scene.log_scale.square().sum()) for scene in scenes.values())
-    degrees = sum(len(scene.log_scale) - 1 for scene in scenes.values())
-    if degrees < 1:
+    degrees_of_freedom = sum(len(scene.log_scale) - 1 for scene in scenes.values())
+    if degrees_of_freedom < 1:
         return dict.fromkeys(scenes, 0.0)
-    one_frame = squares / degrees * widened(degrees)
+    one_frame = squares / degrees_of_freedom * widened(degrees_of_freedom)
     return {name: math.sqrt(one_frame / len(scene.log_scale)) for name, scene in scenes.items()}
 
 
