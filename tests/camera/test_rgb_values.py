@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 
 import pytest
 import torch
 
+from tests.fake_trace import as_exported
 from torchweather.camera.rgb_planes import check_rgb_values, linear_planes
 from torchweather.camera.through_mosaic import image_of_mosaic, mosaic_of_image
 from torchweather.sensors import Camera
@@ -17,14 +20,17 @@ def srgb_to_linear(display: float) -> float:
     return display / 12.92 if display <= 0.04045 else ((display + 0.055) / 1.055) ** 2.4
 
 
+@pytest.mark.parametrize("within", [nullcontext, as_exported])
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.uint16, torch.float32, torch.float64])
-def test_planes_are_linear_in_light(dtype: torch.dtype) -> None:
+def test_planes_are_linear_in_light(dtype: torch.dtype, within: Callable[[], AbstractContextManager[None]]) -> None:
     full = float(torch.iinfo(dtype).max) if not dtype.is_floating_point else 1.0
     display = (0.0, 0.02, 0.2, 0.5, 1.0)
     stored = torch.tensor([value * full for value in display], dtype=torch.float64)
     rgb = (stored if dtype.is_floating_point else stored.round()).to(dtype).expand(3, 1, -1)
     wanted = [srgb_to_linear(float(value) / full) for value in rgb[0, 0]]
-    assert linear_planes(rgb)[1, 0].tolist() == pytest.approx(wanted, abs=1e-6)
+    with within():
+        found = linear_planes(rgb)
+    assert found[1, 0].tolist() == pytest.approx(wanted, abs=1e-6)
 
 
 @pytest.mark.parametrize("value", [-0.01, 1.01, 255.0, math.nan])

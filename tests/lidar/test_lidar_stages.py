@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.fake_trace import as_exported
 from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.lidar.intensity import are_integers
 from torchweather.lidar.returns.beam_particles import BeamParticles
@@ -305,13 +308,15 @@ def test_a_particle_is_rounded_down_where_the_cloud_counts() -> None:
     assert float(after.returns.points[0, 0, 3]) == math.floor(0.05 * 255)
 
 
-def test_range_noise_and_resolution_are_a_particles_only() -> None:
+@pytest.mark.parametrize("within", [nullcontext, as_exported])
+def test_range_noise_and_resolution_are_a_particles_only(within: Callable[[], AbstractContextManager[None]]) -> None:
     sensor = replace(SENSOR, range_noise_m=0.1, range_resolution_m=0.25)
     stage = ToPoints(sensor)
     noise = {"range_noise": torch.full((1, 1, 1), 3.0)}
-    particle = stage(Detection(sensor)(beam((40.0, 1.1, OBJECT), (5.04, 50.0, PARTICLE)), {}), noise)
+    with within():
+        particle = stage(Detection(sensor)(beam((40.0, 1.1, OBJECT), (5.04, 50.0, PARTICLE)), {}), noise)
+        stays = stage(Detection(sensor)(beam((40.1, 50.0, OBJECT), (5.04, 2.0, PARTICLE)), {}), noise)
     assert float(particle.returns.points[0, 0, 0]) == pytest.approx(5.25)  # 5.04 + 0.3 to the nearest quarter
-    stays = stage(Detection(sensor)(beam((40.1, 50.0, OBJECT), (5.04, 2.0, PARTICLE)), {}), noise)
     assert torch.equal(stays.returns.points, torch.tensor([[[40.1, 0.0, 0.0, 0.2]]]))
 
 
