@@ -399,13 +399,14 @@ def test_a_name_must_hold_on_held_out_conditions(p_value: float, verdict: str, e
 
 
 def test_a_held_out_gap_far_above_its_floor_is_a_rest() -> None:
+    before = replace(BEFORE, gap=4.0)
     for gap, verdict in ((1.45, "named"), (1.55, "named_and_rest")):
-        assert _verdict(global_test(), left_by(210.0), BEFORE, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
+        assert _verdict(global_test(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
 
 
 @pytest.mark.parametrize(
     ("gap", "verdict"),
-    [(2.9, "named_and_rest"), (4.0, "named_and_rest"), (5.0, "unknown")],  # of 20: 1.9, 3.8 and 6 % of the square
+    [(2.9, "named_and_rest"), (8.5, "named_and_rest"), (9.5, "unknown")],  # of 20: 2, 18 and 22 % of the square
 )
 def test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing(gap: float, verdict: str) -> None:
     """That over the floor's."""
@@ -413,6 +414,9 @@ def test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing(
     assert _verdict(global_test(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
     far = HeldOut(100.0, 1.0, 0.05, 4e5)  # nearly all of it explained
     assert _verdict(global_test(), left_by(210.0), far, HeldOut(gap, 1.0, 0.05, 210.0)) == "named_and_rest"
+    # A gap that was near its floor before says as much.
+    for gap, near in ((1.55, "unknown"), (1.45, "named")):
+        assert _verdict(global_test(), left_by(210.0), replace(far, gap=2.0), HeldOut(gap, 1.0, 0.05, 210.0)) == near
     # ... but ten floors are not a rest, whatever was explained.
     assert (
         _verdict(global_test(), left_by(210.0), replace(far, gap=200.0), HeldOut(12.0, 1.0, 0.05, 210.0)) == "unknown"
