@@ -61,9 +61,6 @@ ADDED_SHARE, ADDED_SHARE_SURE, OF_THE_RESIDUAL = 0.03, 0.1, 0.6
 # than SURE_GAIN they may, by so much of the remainder: where they hardly show it.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
 RESIDUAL_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left as a residual in such statistics
-# Of the held-out gap's square over the floor's, that is left where what was found is not what is missing. On
-# development studies effects of the catalogue, also of another form, left at most 0.16, others 0.23 to 1.1.
-UNKNOWN_HELD = 0.2
 
 
 @dataclass(frozen=True)
@@ -419,7 +416,7 @@ def _verdict(global_test: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut)
     over = (after.gap**2 - after.floor**2) / max(before.gap**2 - before.floor**2, 1e-9)
     far = after.gap > METHOD.unexplained_gap * after.floor
     rest = after.gap > METHOD.residual_gap * after.floor
-    if share > UNKNOWN_SHARE or far or (rest and over > UNKNOWN_HELD):
+    if share > UNKNOWN_SHARE or far or (rest and over > METHOD.unexplained_share):
         return "unknown"
     return "named_and_rest" if rest or share > RESIDUAL_SHARE else "named"
 
