@@ -146,6 +146,19 @@ MUTANTS = (
         ("tests/gap/inference/test_residual_tests.py::test_what_conditions_have_in_common_is_not_drowned_in_each",),
     ),
     Mutant(
+        "much_left_of_held_out_data_is_a_rest",
+        "what leaves a fifth of the held-out square is not what is missing",
+        "torchweather.gap.inference.forward_selection",
+        "or far or (rest and over > METHOD.unexplained_share):",
+        "or far:",
+        (
+            (
+                "tests/gap/inference/test_forward_selection.py::"
+                "test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing"
+            ),
+        ),
+    ),
+    Mutant(
         "t_interval_taken_as_normal",
         "few degrees of freedom widen the noise of whole frames",
         RANDOM_EFFECTS,

@@ -31,7 +31,8 @@ class InferenceConfig:
     residual_p: float = 1e-4  # p value of one statistic below which its residual is no noise
     residual_gap: float = 1.5  # held-out gap over its floor above which something else is missing
     # Of the square of the held-out gap over its floor, left, above which the selection counts as nothing found.
-    # Effects of the catalogue, also of another form, left at most 0.16 of it, others 0.23 to 1.1.
+    # On development studies effects of the catalogue, also of another form, left at most 0.16 of it; of others those
+    # with a rest left 0.24 and more.
     unexplained_share: float = 0.2
     unexplained_gap: float = 10.0  # held-out gap over its floor above which the selection counts as nothing found
 
