@@ -66,6 +66,7 @@ class CalibratedScatter:
         shared: ``(P,)`` whether that error is the same in all conditions of a scene.
         expected: mean square of a departure that noise makes over the sum of the three: below 1 where hardly
             anything can happen.
+        model: share of the sum of the three that is the error of a model of the sensor, alike in all conditions.
         event: square of a departure by one event beyond the expected ones, over the sum of the three; 0 of what has
             none.
         degrees_of_freedom: with which the sum of the three is known: of Student's law of a departure.
@@ -79,6 +80,7 @@ class CalibratedScatter:
     clear: Floats
     shared: NDArray[np.bool_]
     expected: Floats
+    model: Floats
     event: Floats
     degrees_of_freedom: Floats
     told_by_clear: Floats
@@ -408,6 +410,7 @@ def _scatter(
         clear=of_clear,
         shared=layout.averages | from_clear | layout.each(lambda group: group.kind == "spread"),
         expected=np.minimum(expected, 1.0),
+        model=model_error / whole,
         event=event / whole,
         degrees_of_freedom=degrees_of_freedom,
         told_by_clear=by_clear_frames,

@@ -98,6 +98,8 @@ class InferenceConfig:
     # Degrees of freedom that the noise of elements tells of the variance of a spread, at most: in null studies what it
     # says scatters about the truth by 0.4 in its logarithm.
     element_law_degrees: float = 10.0
+    # Elements over those whose noise was looked at, in other weather, from which it is that of independent ones.
+    more_elements: float = 2.0
     unseen_events: float = 0.5  # of independent elements, taken for granted where a statistic shows none
     # Standard deviations that one event more is at most, however alike simulated frames are: what the deviance of a
     # Poisson law says of one event where 0.05 were expected.

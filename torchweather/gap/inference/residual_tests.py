@@ -4,7 +4,8 @@ Of each statistic along each axis the squares of its whitened entries are held a
 pattern that all conditions have in common: what acts alike in each of them is a few numbers there. Each entry has the
 square that noise is expected to leave of it (``SimulatedDistribution.expected``): a statistic of a few bins that hold
 events, and of many that never do, is one of a few entries. One event where hardly any is expected makes a square far
-above that; and a scatter that few frames tell is no sure measure: the sum follows the law of F.
+above that; and a scatter that few frames tell is no sure measure: the sum follows the law of F. What a model of a
+sensor is not known to (``SimulatedDistribution.model``) is one departure that all conditions have in common.
 
 References:
     GAP.md 3 (7): look at the groups of statistics that the effects leave unchanged. Satterthwaite 1946 (a sum of
@@ -38,6 +39,7 @@ class ResidualTest:
         noise: ``(C, P)`` square of an entry that noise leaves at the mean.
         event: ``(C, P)`` square that one event beyond the expected ones makes of an entry; 0 of what has none.
         degrees_of_freedom: ``(C, P)``, with which that noise is known.
+        model: ``(C, P)`` square that the error of a model leaves beside it, the same departure in all conditions.
     """
 
     places: NDArray[np.intp]
@@ -45,6 +47,7 @@ class ResidualTest:
     noise: Floats
     event: Floats | float = 0.0
     degrees_of_freedom: Floats | float = np.inf
+    model: Floats | float = 0.0
 
     @property
     def groups(self) -> int:
@@ -57,9 +60,11 @@ class ResidualTest:
 
     def p_value(self, left: Floats) -> float:
         """Probability that noise leaves as much in the group that departs most, of as many groups as there are."""
-        level = self.noise * self.used
-        uneven = level**2 + self._of_events()
-        sums = [self._summed(one.sum(0)) for one in (level, uneven, level / self.degrees_of_freedom)]
+        model = self.model * self.used
+        level = (self.noise + self.model) * self.used
+        uneven = (level**2 + self._of_events()).sum(0) + np.square(model.sum(0)) - (model**2).sum(0)
+        unsure = self.noise * self.used / self.degrees_of_freedom
+        sums = [self._summed(one) for one in (level.sum(0), uneven, unsure.sum(0))]
         return self._least(sums[0], sums[1], sums[2], self.squares(left))
 
     def common_p_value(self, left: Floats) -> float:
@@ -69,7 +74,8 @@ class ResidualTest:
         common = self.used.sum(0) > 1
         pattern = common * (left.reshape(self.used.shape) * self.used).sum(0) / np.sqrt(number)
         noise = common * self.noise * self.used / number
-        level, unsure = noise.sum(0), (noise / self.degrees_of_freedom).sum(0)
+        model = common * np.square((np.sqrt(self.model) * self.used).sum(0)) / number
+        level, unsure = noise.sum(0) + model, (noise / self.degrees_of_freedom).sum(0)
         uneven = level**2 + common * (self._of_events() / number**2).sum(0)
         sums = [self._summed(one) for one in (level, uneven, unsure, pattern**2)]
         return self._least(sums[0], sums[1], sums[2], sums[3])
@@ -119,8 +125,8 @@ def residual_test(search: SimulatorLikelihood, base: Fit) -> ResidualTest:
     """
     layout, names = search.model.layout, [target.condition.id for target in search.measured]
     places = np.repeat(np.arange(len(layout.groups)), [group.bins for group in layout.groups])
-    used, expected, event, degrees_of_freedom = (
+    used, expected, event, degrees_of_freedom, known_to = (
         np.stack([getattr(base.base, field)[name] for name in names])
-        for field in ("used", "expected", "event", "degrees_of_freedom")
+        for field in ("used", "expected", "event", "degrees_of_freedom", "model")
     )
-    return ResidualTest(places, used, np.maximum(expected, METHOD.least_level), event, degrees_of_freedom)
+    return ResidualTest(places, used, np.maximum(expected, METHOD.least_level), event, degrees_of_freedom, known_to)

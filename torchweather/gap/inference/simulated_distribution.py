@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -161,10 +161,12 @@ class ElementNoise:
     Args:
         scatter: condition to ``(P,)`` standard deviation of each entry; 0 where it tells nothing.
         correlation: ``(P, P)`` of the entries, common to the conditions.
+        elements: condition to ``(P,)`` how many elements of a frame tell it; none where that is left out.
     """
 
     scatter: Mapping[str, Floats]
     correlation: Floats
+    elements: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -217,6 +219,7 @@ class SimulatedDistribution:
             one for all conditions of the scene (``search.py``).
         expected: condition to ``(P,)`` mean square of a departure by noise, in units of ``total``: 1, and less where
             hardly anything can happen.
+        model: condition to ``(P,)`` share of that scatter squared that is the error of a model of the sensor.
         event: condition to ``(P,)`` square of one event beyond the expected ones, in the same units; 0 of what has
             none.
         degrees_of_freedom: condition to ``(P,)`` degrees of freedom with which that scatter is known.
@@ -233,6 +236,7 @@ class SimulatedDistribution:
     independent: Mapping[str, Floats]
     shared: Mapping[str, Floats]
     expected: Mapping[str, Floats]
+    model: Mapping[str, Floats]
     event: Mapping[str, Floats]
     degrees_of_freedom: Mapping[str, Floats]
     told_by_clear: Mapping[str, Floats]
@@ -282,7 +286,10 @@ def simulated_distribution(
         before = independent[name] if start is None else start.independent[name]
         grown = np.where(layout.averages, np.maximum(independent[name] / np.maximum(before, TINY), 1.0), 1.0)
         alike = math.sqrt(squares_about_clear_mean(target.frames, target.clear_frames))
-        elements[name] = np.where(few, independent[name] * alike, noise.scatter[name] * grown)
+        # Where far more elements are seen than when their noise was looked at, in other weather, those tell it.
+        more = _elements(pools[name], 1) > METHOD.more_elements * noise.elements.get(name, np.inf)
+        own = np.where(more, np.maximum(independent[name], noise.scatter[name]), noise.scatter[name] * grown)
+        elements[name] = np.where(few, independent[name] * alike, own)
     sizes = {t.condition.id: MeasuredSize(t.frames, t.clear_frames, t.condition.time_s, t.misplaced) for t in measured}
     found = calibrated_scatter(pools, sizes, elements, seed)
     sds, owns, totals, used, shared = {}, {}, {}, {}, {}
@@ -307,6 +314,7 @@ def simulated_distribution(
         independent=independent,
         shared=shared,
         expected={name: one.expected for name, one in found.items()},
+        model={name: one.model for name, one in found.items()},
         event={name: one.event for name, one in found.items()},
         degrees_of_freedom={name: one.degrees_of_freedom for name, one in found.items()},
         told_by_clear={name: one.told_by_clear for name, one in found.items()},
@@ -341,7 +349,15 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
         unit = np.where(target.enough, unit, 0.0).reshape(-1, size)
         total += unit.T @ unit / len(apart)
     spread = np.sqrt(np.diag(total))
-    return ElementNoise(scatter, total / np.maximum(np.outer(spread, spread), 1e-12))
+    each = {target.condition.id: _elements(portioned[target.condition.id], portions) for target in measured}
+    return ElementNoise(scatter, total / np.maximum(np.outer(spread, spread), 1e-12), each)
+
+
+def _elements(pool: Pool, portions: int) -> Floats:
+    """Number of elements of a frame in the bin of each entry ``(P,)``; 0 of what has no bins."""
+    found = np.zeros(pool.layout.size)
+    found[: pool.layout.bins] = pool.frames.weight.mean(0) * portions
+    return found
 
 
 def squares_about_clear_mean(frames: int, clear: int) -> float:

@@ -328,7 +328,9 @@ class Pool:
         for group in self.layout.groups:
             if group.kind == "persistence":
                 pattern = self.frames.maps[:, self.layout.maps.index(group.statistic)].mean(0)
-                known = METHOD.persistence_rel_error * float(np.sqrt((pattern**2).sum()))
+                # Particles that all lie in the ring beside: at most so much of the root of the summed squares.
+                share = math.hypot(METHOD.persistence_rel_error, misplaced)
+                known = share * float(np.sqrt((pattern**2).sum()))
                 found.append(np.full(group.bins, known))
             elif group.kind == "slope":
                 # Of n even steps from first to last the squares about their mean sum up to n / 12.

@@ -73,7 +73,7 @@ def test_compiled_sums_are_those_of_torch(model: LidarFrames, study: Study, monk
 def test_references_leave_one_clear_frame_out(study: Study, model: LidarFrames) -> None:
     scene = model.scenes["s0"]
     range_m, intensity = (stacked(study.scenes["s0"].clear, name) for name in ("range_m", "intensity"))
-    np.testing.assert_array_equal(scene.empty.numpy(), (range_m == 0).all(0))
+    np.testing.assert_array_equal(scene.empty[-1].numpy(), (range_m == 0).all(0))
     assert not (scene.stable.numpy() & ~(range_m > 0).all(0)).any()
     for row in range(CLEAR + 1):
         others = [k for k in range(CLEAR) if k != row]
@@ -104,7 +104,7 @@ def test_a_beam_that_sees_two_surfaces_or_flickers_is_neither_stable_nor_empty()
         ],
     )
     scene = LidarFrames(made).scenes["s0"]
-    stable, empty = scene.stable.numpy(), scene.empty.numpy()
+    stable, empty = scene.stable.numpy(), scene.empty[-1].numpy()
     assert not (stable | empty)[0]  # two surfaces
     assert not (stable | empty)[1]  # flickers
     assert empty[2]
@@ -171,7 +171,7 @@ def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[t
                 sums[statistic, one.axis][:, place] += (1.0, value, value**2)
 
     for beam in range(ROWS * COLUMNS):
-        if scene.empty[beam]:
+        if scene.empty[-1][beam]:
             add("new_share_of_empty_beams", beam, float(seen[beam]))
     for beam in stable:
         assert edges[int(scene.bins["range_m"][row, beam])] <= reference[beam]
@@ -249,7 +249,7 @@ def test_particles_are_counted_by_range_and_by_whether_a_neighbour_shares_theirs
             reach = float(range_m[frame, beam])
             before = bool(scene.stable[beam]) and reach > 0
             before = before and reach - float(scene.reference_range_m[frame, beam]) < -SAME_SURFACE_M
-            if not (before or (bool(scene.empty[beam]) and reach > 0)):
+            if not (before or (bool(scene.empty[-1][beam]) and reach > 0)):
                 continue
             particles += 1
             down, aside = divmod(beam, COLUMNS)
@@ -278,7 +278,7 @@ def test_scalars_of_a_frame_are_those_of_its_beams(study: Study, model: LidarFra
     range_m, intensity = altered(study)
     found = model.reduce("s0", torch.from_numpy(range_m), torch.from_numpy(intensity), torch.tensor([0, 1])).scalar
     scene = model.scenes["s0"]
-    stable, empty = scene.stable.numpy(), scene.empty.numpy()
+    stable, empty = scene.stable.numpy(), scene.empty[-1].numpy()
     for frame in range(2):
         seen, apart = range_m[frame] > 0, range_m[frame] - scene.reference_range_m[frame].numpy()
         lost, same = (stable & ~seen).sum(), stable & seen & (np.abs(apart) < SAME_SURFACE_M)

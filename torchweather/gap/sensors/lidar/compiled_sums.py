@@ -49,7 +49,7 @@ class ParticleBins(NamedTuple):
     """Axes along which the particles of a frame are counted.
 
     Args:
-        stable, empty: places of the beams that see a surface, and of those that see nothing, in clear air.
+        stable, empty: places of the beams that see a surface in clear air, and of those that see nothing.
         bin, ring: ``(ticks,)`` bin of a range, and ring of the map.
         sector: ``(N,)`` of the map, of each beam.
         rings: of the map.
@@ -206,6 +206,7 @@ def sum_particles(
     range_m: Array,
     intensity: Array,
     before: NDArray[np.bool_],
+    of_empty: NDArray[np.bool_],
     bins: ParticleBins,
 ) -> None:
     """Add up the particles of one frame.
@@ -215,7 +216,7 @@ def sum_particles(
             level, level2, as in ``sums.py``.
         maps: ``(cells,)``, written: their number.
         range_m, intensity: ``(N,)`` of the frame, 0 where no return.
-        before: ``(S,)`` stable beams that see a particle.
+        before, of_empty: stable beams, and empty ones, that see a particle.
         bins: along which they are counted.
     """
     for place in range(sums.shape[1]):
@@ -223,6 +224,6 @@ def sum_particles(
     for at in range(before.size):
         if before[at]:
             _add_particle(sums, maps, range_m, intensity, bins.stable[at], True, bins)
-    for at in range(bins.empty.size):
-        if range_m[bins.empty[at]] > ZERO:
+    for at in range(of_empty.size):
+        if of_empty[at]:
             _add_particle(sums, maps, range_m, intensity, bins.empty[at], False, bins)

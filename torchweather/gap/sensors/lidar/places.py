@@ -50,7 +50,7 @@ def lidar_cells(
         np.searchsorted(columns, np.arange(width), "right") - 1
     )
     number = (len(rows) - 1) * (len(columns) - 1)
-    counted = scene.stable if quantity != "new" else scene.stable | scene.empty
+    counted = scene.stable if quantity != "new" else scene.stable | scene.empty[-1]
 
     def of(range_m: Tensor, intensity: Tensor) -> Floats:
         return _in_cells(*_values(model, condition, quantity, range_m, intensity), cell.ravel(), number)
@@ -91,8 +91,8 @@ def _values(
     if quantity == "lost":
         found, counts = 100.0 * (range_m <= 0), scene.stable
     elif quantity == "new":
-        near = (range_m > 0) & ((range_m < surface - SAME_SURFACE_M) | scene.empty)
-        found, counts = 100.0 * near, scene.stable | scene.empty
+        near = (range_m > 0) & ((range_m < surface - SAME_SURFACE_M) | scene.empty[-1])
+        found, counts = 100.0 * near, scene.stable | scene.empty[-1]
     else:
         counts = scene.stable & (range_m > 0) & ((range_m - surface).abs() < SAME_SURFACE_M)
         if quantity == "intensity":

@@ -1,8 +1,9 @@
 """References of a LiDAR scene's frames: its clear frames, beam by beam, and the bins that beams are put into.
 
-A beam is *stable* where all clear frames see one surface, well above the threshold of detection, and *empty* where none
-sees anything; others are left out. A simulated frame starts from one clear frame and is compared with the others, a
-measured one with all but one too: both differ from what they are compared with by the noise of a frame of their own.
+A simulated frame starts from one clear frame and is compared with the others, a measured one with all but one too: both
+differ from what they are compared with by the noise of a frame of their own. A beam is *stable* where all clear frames
+see one surface, well above the threshold of detection, and *empty* where none of those that a frame is compared with
+sees anything; others are left out.
 
 References:
     GAP.md 3 (1, 2).
@@ -37,6 +38,7 @@ FAINTEST = 1e-6  # of intensities in logarithms
 # A beam nearer to the threshold than so many standard deviations of the noise of beams is chosen by that noise: seen in
 # all clear frames, it was lucky. (Beams at the threshold are about twice as noisy as the mean one.)
 FLICKER_SD = 6.0
+CHOSEN_SD = 3.0  # of a reading, beyond which noise hardly takes it
 DB_PER_NEPER = 10.0 / math.log(10.0)  # of a power
 LEAST_NOISE_M = 2e-3  # a range that is written in millimetres
 
@@ -49,12 +51,16 @@ class LidarScene:
         range_m, intensity: ``(K, N)`` clear frames.
         reference_range_m, reference_intensity: ``(K + 1, N)`` mean over the clear frames other than k, the last row
             over all; 0 where it is not defined.
-        stable, empty: ``(N,)`` which beams count as what.
+        stable: ``(N,)`` beams that see a surface.
+        empty: ``(K + 1, N)`` beams that saw nothing in any clear frame other than k; the last row in none. A surface at
+            the threshold that frame k alone saw is there in a simulated frame as it is in a measured one.
         tolerance_m: how near to the reference a return is the surface's.
         noise_m: standard deviation of the range of the clear frames.
         log_scale: ``(K,)`` logarithm of the intensities of each clear frame over the mean of all, averaged: what a
             sensor's scale does from frame to frame.
         gain: ``(K,)`` the scale that a frame is divided by; 1 where intensities are whole numbers.
+        clock_m: ``(K,)`` range of each clear frame beyond the mean of all, averaged over stable beams: what the start
+            of a sensor's clock does from frame to frame.
         reading_std: relative standard deviation of the intensity that does not depend on the signal.
         variance_at_threshold: relative variance of the intensity that goes as one over the signal, at the threshold.
         bins: axis to the bin of each beam ``(K + 1, N)``, -1 for none, after the clear frames other than k: a frame
@@ -73,6 +79,7 @@ class LidarScene:
     noise_m: float
     log_scale: Tensor
     gain: Tensor
+    clock_m: Tensor
     reading_std: float
     variance_at_threshold: float
     bins: dict[str, Tensor]
@@ -111,7 +118,7 @@ def lidar_scene(
     one_surface = torch.where(far > 0, far - near, 0.0) < 2.0 * SAME_SURFACE_M
     # Of all frames: a beam that a single frame sees is not empty, nor is one stable that a single frame lacks.
     stable = (keep @ seen == frames_of).all(0) & one_surface
-    empty = count[-1] == 0
+    empty = count == 0
     usual = _spread(range_m.double() - mean_range[-1], (seen > 0) & one_surface)
     geometry = {
         name: torch.from_numpy(np.asarray(scene.geometry[name], dtype=np.float32)).reshape(-1)
@@ -123,19 +130,28 @@ def lidar_scene(
     margin_db = 10.0 * torch.log10((signal / energy.beam.threshold).clamp_min(1e-6))
     log_scale, gain = torch.zeros(number, dtype=torch.float64), torch.ones(number)
     variance_at_threshold, reading_std = 0.0, 0.0
+    chosen = torch.zeros_like(margin_db, dtype=torch.bool)
     if with_intensity:
         apart = intensity.double().clamp_min(FAINTEST).log() - mean_intensity[-1].clamp_min(FAINTEST).log()
         noise_db = DB_PER_NEPER * _spread(apart, stable)
         stable = stable & (margin_db[-1] > FLICKER_SD * noise_db)
+        chosen = _chosen_by_own_noise(margin_db, noise_db)
         if bool(stable.any()) and number > 1:
             log_scale = apart[:, stable].mean(1)
             if not bool((intensity == intensity.round()).all()):  # whole numbers would not stay whole
                 gain = log_scale.exp().float()
             constant, variance_at_threshold = _variances(apart[:, stable] - log_scale[:, None], margin_db[-1, stable])
             reading_std = math.sqrt(constant)
+    clock_m = torch.zeros(number)
+    if bool(stable.any()) and number > 1:
+        clock_m = (range_m.double() - mean_range[-1])[:, stable].mean(1).float()
     beams = torch.arange(mean_range.shape[1])
     isolated = ~has_neighbour(mean_range[-1].float()[None], grid, 2.0 * CLUSTER_M, beams)
     bins, edges = _bins(direction, mean_range, mean_intensity, margin_db, isolated, stable, with_intensity, geometry)
+    # Along axes whose bins follow the frames anyway.
+    bins |= {
+        axis: bins[axis].masked_fill(chosen, -1) for axis in ("range_m", "margin_db", "log_intensity") if axis in bins
+    }
     return LidarScene(
         range_m=range_m,
         intensity=intensity,
@@ -147,6 +163,7 @@ def lidar_scene(
         noise_m=max(usual, LEAST_NOISE_M),
         log_scale=log_scale,
         gain=gain,
+        clock_m=clock_m,
         reading_std=reading_std,
         variance_at_threshold=variance_at_threshold,
         bins=bins,
@@ -164,6 +181,29 @@ def _spread(departure: Tensor, where: Tensor) -> float:
     if number == 0 or share == 0:
         return 0.0
     return float((torch.where(counted, departure, 0.0).square().sum() / (number * share)).sqrt())
+
+
+def _chosen_by_own_noise(margin_db: Tensor, noise_db: float) -> Tensor:
+    """Beams ``(K + 1, N)`` that are stable only where frame k itself was read high.
+
+    Stable is a beam whose mean of all K frames stands above the limit. Where the mean m of the others stands less than
+
+        CHOSEN_SD n (1 + 1 / sqrt(K - 1)) / K
+
+    above it, a beam counts if frame k, as noisy as n, was lucky: a frame that is simulated from k is brighter there
+    than a measured one.
+
+    Args:
+        margin_db: ``(K + 1, N)`` of the mean without frame k, in the last row of all.
+        noise_db: n, standard deviation of a reading.
+    """
+    number = len(margin_db) - 1
+    if number < 2:
+        return torch.zeros_like(margin_db, dtype=torch.bool)
+    beyond = CHOSEN_SD * noise_db * (1.0 + 1.0 / math.sqrt(number - 1)) / number
+    found = margin_db <= FLICKER_SD * noise_db + beyond
+    found[-1] = False
+    return found
 
 
 def _variances(apart: Tensor, margin_db: Tensor) -> tuple[float, float]:

@@ -125,12 +125,20 @@ def map_cells() -> list[tuple[float, float]]:
 
 
 class _Beams:
-    """Some beams of a scene, summed over along some of its axes."""
+    """Some beams of a scene, summed over along some of its axes.
+
+    Args:
+        scene: with the bins of its beams.
+        which: ``(N,)`` the beams; or ``(K + 1, N)``, where they are others whatever a frame is compared with.
+        axes: along which they are summed.
+    """
 
     def __init__(self, scene: LidarScene, which: Tensor, axes: Sequence[str]) -> None:
-        self.beam = which.nonzero()[:, 0]
+        rows = which.expand(len(scene.reference_range_m), -1)
+        self.beam = rows.any(0).nonzero()[:, 0]
+        self.counts = rows[:, self.beam]  # (K + 1, S)
         self.place: dict[str, slice] = {}
-        self.bins = {axis: scene.bins[axis][:, self.beam] for axis in axes}  # (K + 1, S)
+        self.bins = {axis: scene.bins[axis][:, self.beam].where(self.counts, -1) for axis in axes}  # (K + 1, S)
         self._count = {axis: len(scene.edges[axis]) - 1 for axis in axes}
         # One row where the bins are the same whatever a frame is compared with.
         shared = all(bool((bins == bins[:1]).all()) for bins in self.bins.values())
@@ -262,7 +270,7 @@ class LidarSums:
             portions: into which the beams are divided at random, the same ones in each frame; the result then has
                 ``F * portions`` rows, one for each frame and portion, frame by frame.
         """
-        of_empty = range_m[:, self.nothing.beam] > 0
+        of_empty = (range_m[:, self.nothing.beam] > 0) & self.nothing.counts[row]
         portion = self._portions(range_m.shape[1], portions)
         before, of_surfaces, of_standing = self._of_surfaces(range_m, intensity, row, portion, portions)
         particles, maps, near = self._particles(range_m, intensity, before, of_empty, portion, portions)
@@ -373,7 +381,7 @@ class LidarSums:
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Sums of particles over range ``(F, rows, bins)``, their map ``(F, cells)``, number of near ones ``(F,)``."""
         if portions == 1 and uses_compiled():
-            return self._compiled_particles(range_m, intensity, before)
+            return self._compiled_particles(range_m, intensity, before, of_empty)
         frame_1, place_1 = before.nonzero(as_tuple=True)
         frame_2, place_2 = of_empty.nonzero(as_tuple=True)
         frame = torch.cat([frame_1, frame_2])
@@ -403,7 +411,9 @@ class LidarSums:
         maps = maps.reshape(slots, MAP_SECTORS, rings)
         return torch.stack([everywhere, *particles], 1), maps.flatten(1), maps[..., 0].sum(1)
 
-    def _compiled_particles(self, range_m: Tensor, intensity: Tensor, before: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _compiled_particles(
+        self, range_m: Tensor, intensity: Tensor, before: Tensor, of_empty: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """As ``_particles``, by compiled loops."""
         from torchweather.gap.sensors.lidar.compiled_sums import ParticleBins, sum_particles
 
@@ -416,8 +426,8 @@ class LidarSums:
         sums = np.zeros((len(range_m), len(OF_PARTICLES), len(PARTICLE_RANGE_M) - 1))
         maps = np.zeros((len(range_m), MAP_SECTORS * own.rings))
         ranges, levels = (values.float().contiguous().numpy() for values in (range_m, intensity))
-        for frame, seen in enumerate(before.numpy()):
-            sum_particles(sums[frame], maps[frame], ranges[frame], levels[frame], seen, own)
+        for frame, seen in enumerate(zip(before.numpy(), of_empty.numpy(), strict=True)):
+            sum_particles(sums[frame], maps[frame], ranges[frame], levels[frame], *seen, own)
         found = torch.from_numpy(maps)
         return torch.from_numpy(sums), found, found.reshape(len(range_m), MAP_SECTORS, -1)[..., 0].sum(1)
 

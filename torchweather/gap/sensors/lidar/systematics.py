@@ -17,7 +17,15 @@ from torchweather.lidar.state import LidarState
 from torchweather.pipeline.effect import Effect, Parameter
 from torchweather.pipeline.point_kind import PointKind
 
-__all__ = ["ClearScale", "EchoGain", "FogEchoRange", "ParticleReading", "WeakSignalNoise"]
+__all__ = [
+    "ClearScale",
+    "EchoGain",
+    "FogEchoRange",
+    "FrameClock",
+    "ParticleReading",
+    "ParticleReadingScale",
+    "WeakSignalNoise",
+]
 
 
 class WeakSignalNoise(Effect):
@@ -110,6 +118,51 @@ class ParticleReading(Effect):
         signal = state.returns.signal
         noisy = signal * (1.0 + self.value("std", signal) * noise["reading"].to(signal)[..., None]).clamp_min(0.0)
         return {"signal": torch.where(state.returns.kind == int(PointKind.PARTICLE), noisy, signal)}
+
+
+class FrameClock(Effect):
+    """Range by which the clock of a whole frame is late: objects have their clear frame's, particles have none.
+
+    No nuisance but a part of every simulated frame.
+
+    Args:
+        late_m: of each frame.
+    """
+
+    id: ClassVar[str] = "gap.frame_clock"
+    title: ClassVar[str] = "ranges of particles move with the clock of their frame"
+    term: ClassVar[str] = "trigger jitter"
+    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("late_m", "m", -1.0, 1.0, scale=0.01, identity=0.0),)
+    after: ClassVar[str] = "detection"
+    axes: ClassVar[tuple[str, ...]] = ("range",)
+
+    def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The range of the reported particles."""
+        range_m = state.returns.range_m
+        moved = (range_m + self.value("late_m", range_m)).clamp_min(0.1)
+        return {"range_m": torch.where(state.returns.kind == int(PointKind.PARTICLE), moved, range_m)}
+
+
+class ParticleReadingScale(Effect):
+    """Reading of particles over that of objects: an intensity is calibrated with surfaces at some distance, and what it
+    says of a particle beside the sensor nobody has measured. Detection does not know of it.
+
+    Args:
+        log_scale: of the intensity of particles.
+    """
+
+    id: ClassVar[str] = "gap.particle_reading_scale"
+    title: ClassVar[str] = "intensities of particles are read on another scale than those of objects"
+    term: ClassVar[str] = "radiometric calibration error in the near range"
+    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("log_scale", "1", -2.0, 2.0, scale=0.02, identity=0.0),)
+    after: ClassVar[str] = "detection"
+    axes: ClassVar[tuple[str, ...]] = ("intensity",)
+
+    def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The signal of the particles that were detected."""
+        signal = state.returns.signal
+        scaled = signal * self.value("log_scale", signal).exp()
+        return {"signal": torch.where(state.returns.kind == int(PointKind.PARTICLE), scaled, signal)}
 
 
 class EchoGain(Effect):
