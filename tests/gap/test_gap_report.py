@@ -75,6 +75,7 @@ def base(mean: float = 0.5, whole: float = 1.0, **off: Floats) -> SimulatedDistr
         independent={},
         shared={},
         expected=ones,
+        model=ones,
         event=ones,
         degrees_of_freedom=ones,
         told_by_clear=ones,

@@ -154,8 +154,8 @@ def test_a_response_to_an_intensity_is_that_of_a_study_whose_record_is_off(null:
 
 def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_intensities(null: SimulatorLikelihood) -> None:
     one = null.nuisance(null.origin, null.start)
-    assert list(null.open) == ["noise", "clear scale s0", "particle gain"]
-    assert one.moving == 1 + 3
+    assert list(null.open) == ["noise", "clear scale s0", "particle reading", "particle gain"]
+    assert one.moving == 1 + 4
     # Eight clear frames and an even shift of three statistics at most: each may be off in the mean of the scene, and in
     # that of the condition; what weather does to means, in all conditions and in each.
     assert 1 <= len(null.frame_departures) <= 8 + 3
@@ -167,7 +167,7 @@ def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_intensiti
     expected = null.whitened(
         null.start, [(new - old) / METHOD.systematic_step_sd for new, old in zip(stronger, here, strict=True)]
     )
-    np.testing.assert_allclose(one.response[:, 3], expected, atol=1e-9)
+    np.testing.assert_allclose(one.response[:, 4], expected, atol=1e-9)
     assert np.abs(expected).max() > 0.1
 
 
@@ -191,16 +191,19 @@ def test_the_error_of_a_clear_mean_is_one_of_whole_frames(null: SimulatorLikelih
 def test_moved_nuisances_stay_within_their_bounds(null: SimulatorLikelihood) -> None:
     null.nuisance(null.origin, null.start)
     step = np.zeros(len(null.offset(ParameterPoint())))
-    step[:4] = (
+    step[:5] = (
         100.0,
         -100.0,
         1.5,
+        0.5,
         -2.5,
-    )  # the weather intensity, noise that cannot be negative, a scale, the gain of particles
+    )  # the weather intensity, noise that cannot be negative, a scale, reading and gain of particles
     found = null.shifted(ParameterPoint(), step)
     assert found.log_intensity == pytest.approx({"c0": METHOD.nuisance_bound_sd * 0.05})
-    assert found.open == pytest.approx({"noise": 0.0, "clear scale s0": 1.5, "particle gain": -2.5})
-    np.testing.assert_allclose(null.offset(found)[:4], (METHOD.nuisance_bound_sd, 0.0, 1.5, -2.5), rtol=1e-12)
+    assert found.open == pytest.approx(
+        {"noise": 0.0, "clear scale s0": 1.5, "particle reading": 0.5, "particle gain": -2.5}
+    )
+    np.testing.assert_allclose(null.offset(found)[:5], (METHOD.nuisance_bound_sd, 0.0, 1.5, 0.5, -2.5), rtol=1e-12)
 
 
 def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -114,6 +115,7 @@ def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
         base=SimpleNamespace(
             expected={"c0": each, "c1": np.where(each == 0.5, 0.25, each)},
             used=used,
+            model=dict.fromkeys(names, 0.5 * each),
             event=dict.fromkeys(names, 4.0 * each),
             degrees_of_freedom=dict.fromkeys(names, 10.0 + each),
         )
@@ -128,6 +130,7 @@ def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
     levels = np.repeat([[1.0, 0.5, 0.25, METHOD.least_level], [1.0, 0.25, 0.25, METHOD.least_level]], 3, axis=1)
     np.testing.assert_allclose(found.noise, levels, rtol=1e-12)
     np.testing.assert_array_equal(found.event, [4.0 * each] * 2)
+    np.testing.assert_array_equal(found.model, [0.5 * each] * 2)
     np.testing.assert_array_equal(found.degrees_of_freedom, [10.0 + each] * 2)
 
 
@@ -174,3 +177,22 @@ def test_a_scatter_that_few_frames_tell_is_no_sure_measure() -> None:
         left = np.full(5, np.sqrt(np.quantile(squares, 1.0 - chance) / 5.0))
         # 200 of 200,000 scatter by 7 %; three of those.
         assert one.p_value(left) == pytest.approx(chance, rel=0.21)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.98])
+def test_an_error_of_the_model_in_all_conditions_is_no_alarm(share: float) -> None:
+    """Six conditions, three entries: noise of each, and a departure of each entry that is one number in all of them."""
+    rng, conditions, draws = RNG(8), 6, 100_000
+    noise, model = np.full((conditions, 3), 1.0 - share), np.full((conditions, 3), share)
+    one = ResidualTest(np.zeros(3, int), np.ones((conditions, 3), bool), noise, model=model)
+    common = math.sqrt(share) * rng.normal(size=(draws, 1, 3))
+    left = common + math.sqrt(1.0 - share) * rng.normal(size=(draws, conditions, 3))
+    squares, patterns = (left**2).sum((1, 2)), (left.sum(1) ** 2).sum(1) / conditions
+    unit = np.ones((conditions, 3))
+    for chance in (1e-2, 1e-3):
+        # Satterthwaite's law is off by a factor of four in the tail; without the model's error by a thousand.
+        of_all = unit * math.sqrt(np.quantile(squares, 1.0 - chance) / (3 * conditions))
+        assert 0.25 * chance < one.p_value(of_all.ravel()) < 2.0 * chance
+        of_common = unit * math.sqrt(np.quantile(patterns, 1.0 - chance) / (3 * conditions))
+        assert 0.25 * chance < one.common_p_value(of_common.ravel()) < 2.0 * chance
+    assert ResidualTest(np.zeros(3, int), one.used, noise).common_p_value(of_common.ravel()) < 1e-3 * chance

@@ -107,6 +107,7 @@ def base(mean: float = 0.0) -> SimulatedDistribution:
         independent={},
         shared=nothing,
         expected=one,
+        model=one,
         event=nothing,
         degrees_of_freedom=one,
         told_by_clear=nothing,

@@ -74,6 +74,8 @@ def test_references_leave_one_clear_frame_out(study: Study, model: LidarFrames) 
     scene = model.scenes["s0"]
     range_m, intensity = (stacked(study.scenes["s0"].clear, name) for name in ("range_m", "intensity"))
     np.testing.assert_array_equal(scene.empty[-1].numpy(), (range_m == 0).all(0))
+    for row in range(CLEAR):
+        np.testing.assert_array_equal(scene.empty[row].numpy(), (np.delete(range_m, row, 0) == 0).all(0))
     assert not (scene.stable.numpy() & ~(range_m > 0).all(0)).any()
     for row in range(CLEAR + 1):
         others = [k for k in range(CLEAR) if k != row]
@@ -171,11 +173,11 @@ def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[t
                 sums[statistic, one.axis][:, place] += (1.0, value, value**2)
 
     for beam in range(ROWS * COLUMNS):
-        if scene.empty[-1][beam]:
+        if scene.empty[row][beam]:
             add("new_share_of_empty_beams", beam, float(seen[beam]))
     for beam in stable:
-        assert edges[int(scene.bins["range_m"][row, beam])] <= reference[beam]
-        assert reference[beam] < edges[int(scene.bins["range_m"][row, beam]) + 1]
+        place = int(scene.bins["range_m"][row, beam])
+        assert place < 0 or edges[place] <= reference[beam] < edges[place + 1]
         for statistic in ("lost_share", "lost_share_of_thin_targets"):
             add(statistic, beam, float(not seen[beam]))
         add("new_share", beam, float(seen[beam] and apart[beam] < -SAME_SURFACE_M))

@@ -68,6 +68,35 @@ def test_beams_without_noise_count_from_the_threshold_on() -> None:
     np.testing.assert_array_equal(found.stable.numpy()[sure], margin_db[sure] > 0)
 
 
+def test_no_beam_of_a_bin_is_chosen_by_the_noise_of_its_own_frame() -> None:
+    """Two clear frames, beams about the threshold: those that count in a bin of the other frame's mean are read as high
+    as a frame that had no say, not higher as where all stable beams are taken."""
+    rng, std = RNG(8), 0.03
+    margin_db = rng.uniform(0.2, 2.0, (60, BEAMS))
+    before, now = [], []
+    for one in margin_db:
+        clear = reflectivity(one) * np.exp(std * rng.normal(size=(2, BEAMS)))
+        found = scene_of(FAR[:2], clear)
+        limit_db = FLICKER_SD * std * 10.0 / math.log(10.0)
+        reference = found.reference_intensity[0].numpy()  # of the second frame
+        near = 10.0 * np.log10(reference / reflectivity(0.0)) < limit_db + 0.7
+        counts = found.stable.numpy() & near
+        excess = np.log(clear[0] / reflectivity(one))
+        before.append(excess[counts])
+        now.append(excess[counts & (found.bins["margin_db"][0].numpy() >= 0)])
+    assert np.concatenate(before).mean() > 10.0 * std / math.sqrt(len(np.concatenate(before)))
+    error = std / math.sqrt(len(np.concatenate(now)))
+    assert error < 0.002
+    assert abs(np.concatenate(now).mean()) < 4.0 * error
+
+
+def test_the_clock_of_each_clear_frame_is_found() -> None:
+    late_m = np.array([0.004, -0.01, 0.0, 0.002, 0.001, 0.003])
+    range_m = FAR + late_m[:, None] + 0.02 * RNG(9).normal(size=FAR.shape)
+    found = scene_of(range_m, noisy(RNG(2), np.linspace(2.0, 12.0, BEAMS), 0.03))
+    np.testing.assert_allclose(found.clock_m.numpy(), late_m - late_m.mean(), atol=4.0 * 0.02 / math.sqrt(BEAMS))
+
+
 def test_the_scale_of_each_clear_frame_is_found() -> None:
     """A laser that is 2 % stronger in one frame: 0.1 % apart, 1,000 beams of 3 % tell it."""
     gain = np.array([1.0, 1.02, 1.0, 0.99, 1.0, 1.0])

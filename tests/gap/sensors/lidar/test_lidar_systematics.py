@@ -18,7 +18,9 @@ from torchweather.gap.sensors.lidar.systematics import (
     ClearScale,
     EchoGain,
     FogEchoRange,
+    FrameClock,
     ParticleReading,
+    ParticleReadingScale,
     WeakSignalNoise,
 )
 from torchweather.gap.statistics.frame_random_effects import widened
@@ -138,7 +140,27 @@ def test_fog_is_reported_nearer_and_scattered() -> None:
     assert bool((near.returns.range_m[particle] == 0.1).all())  # not behind the sensor
 
 
-IDENTITIES = [WeakSignalNoise(), ClearScale(), ParticleReading(), EchoGain(), FogEchoRange()]
+def test_particles_are_read_on_a_scale_of_their_own() -> None:
+    before = reported()
+    found = after(ParticleReadingScale(log_scale=0.3), before)
+    particle = before.returns.kind == PARTICLE
+    torch.testing.assert_close(found.returns.signal[particle], math.exp(0.3) * before.returns.signal[particle])
+    assert torch.equal(found.returns.signal[~particle], before.returns.signal[~particle])
+    assert torch.equal(found.returns.range_m, before.returns.range_m)
+
+
+def test_a_late_clock_moves_the_particles_of_its_frame() -> None:
+    before = reported()
+    found = after(FrameClock(late_m=[0.25]), before)
+    particle = before.returns.kind == PARTICLE
+    torch.testing.assert_close(found.returns.range_m[particle], before.returns.range_m[particle] + 0.25)
+    assert torch.equal(found.returns.range_m[~particle], before.returns.range_m[~particle])
+
+
+IDENTITIES = [
+    *(WeakSignalNoise(), ClearScale(), ParticleReading(), ParticleReadingScale(), EchoGain(), FogEchoRange()),
+    FrameClock(),
+]
 
 
 @pytest.mark.parametrize("stage", IDENTITIES, ids=lambda stage: stage.id)
@@ -172,7 +194,7 @@ def model(study: Study) -> LidarFrames:
 
 def test_what_is_open_depends_on_the_weather(study: Study, model: LidarFrames) -> None:
     snow, fog, rain = study.conditions
-    always = {"noise": 0.0, "particle gain": -math.inf, "clear scale s0": -math.inf}
+    always = {"noise": 0.0, **dict.fromkeys(("clear scale s0", "particle reading", "particle gain"), -math.inf)}
     assert model.open(snow) == model.open(rain) == always
     assert model.open(fog) == {**always, "fog shift": -math.inf, "fog spread": 0.0}
     assert model.misplaced(snow) == 0.0 < model.misplaced(fog) < 0.1
@@ -181,11 +203,15 @@ def test_what_is_open_depends_on_the_weather(study: Study, model: LidarFrames) -
 def test_strengths_are_standard_deviations(study: Study, model: LidarFrames) -> None:
     snow, fog, _ = study.conditions
     strengths = {"noise": 1.5, "fog shift": -2.0, "fog spread": 0.5, "particle gain": 3.0}
-    strengths["clear scale s0"] = -1.0
+    strengths |= {"clear scale s0": -1.0, "particle reading": 2.0}
     of_snow = {one.id: one.to_dict() for one in model.systematics(snow, strengths)}
     assert of_snow == {
         "gap.weak_signal_noise": {"effect": "gap.weak_signal_noise", "variance_at_threshold": pytest.approx(3e-3)},
         "gap.echo_gain": {"effect": "gap.echo_gain", "share": pytest.approx(3.0 * GAIN_SD)},
+        "gap.particle_reading_scale": {
+            "effect": "gap.particle_reading_scale",
+            "log_scale": pytest.approx(2.0 * GAIN_SD),
+        },
         "gap.clear_scale": {"effect": "gap.clear_scale", "log_scale": pytest.approx(-model.clear_scale_sd["s0"])},
     }
     of_fog = {one.id: one.to_dict() for one in model.systematics(fog, strengths)}
@@ -222,7 +248,8 @@ def test_frames_with_open_stages_are_those_of_the_whole_chain(study: Study, mode
     for loss_db in (0.5, 3.0, 0.5):  # the second and third start from what the first kept
         effects = [EFFECTS["lidar.wet_target"](share=0.2), EFFECTS["lidar.window_loss"](loss_db=loss_db), *opened]
         chain = with_effects(transform.chain, effects[:2])
-        for one in [*opened, ParticleReading(std=scene.reading_std)]:
+        late = FrameClock(late_m=scene.clock_m[:3])
+        for one in [*opened, ParticleReading(std=scene.reading_std), late]:
             chain = chain.insert(one, before="detection" if one.after == "particle_returns" else "to_points")
         with torch.no_grad():
             out = chain(begin, chain.draw(begin, seed=torch.tensor(SEEDS)))
@@ -234,7 +261,7 @@ def test_frames_with_open_stages_are_those_of_the_whole_chain(study: Study, mode
         assert bool(ours.any())
 
 
-@pytest.mark.parametrize("name", ["noise", "particle gain", "fog shift", "fog spread"])
+@pytest.mark.parametrize("name", ["noise", "particle gain", "particle reading", "fog shift", "fog spread"])
 def test_each_open_stage_changes_the_frames_of_fog_and_can_be_taken_back(
     study: Study, model: LidarFrames, name: str
 ) -> None:
@@ -259,6 +286,22 @@ def test_the_scale_of_a_frame_is_one_of_the_reading(study: Study) -> None:
     assert ((range_m > 0) & scene.stable).sum() > 15
     torch.testing.assert_close(range_m, plain_m, rtol=3e-6, atol=1e-6)
     torch.testing.assert_close(scaled, plain * gain[:3, None], rtol=1e-5, atol=0.0)
+
+
+def test_the_clock_of_a_frame_moves_its_particles(study: Study) -> None:
+    """The second clear frame is late by 10 cm: so are its particles, on the millimetre, and none of another frame."""
+    condition = study.conditions[1]
+    late_m = torch.tensor([0.0, 0.1, 0.0, 0.0])
+    one, other = LidarFrames(study), LidarFrames(study)
+    one.scenes["s0"], other.scenes["s0"] = (
+        replace(one.scenes["s0"], clock_m=clock_m) for clock_m in (torch.zeros(4), late_m)
+    )
+    (plain_m, _), (range_m, _) = (through(each, condition, []) for each in (one, other))
+    particle = (plain_m > 0) & one.scenes["s0"].empty[-1]
+    assert (particle.sum(1) > 10).all()
+    moved = torch.where(particle, range_m - plain_m, 0.0)
+    torch.testing.assert_close(moved, late_m[:3, None] * particle, rtol=0.0, atol=2e-5)
+    assert torch.equal(range_m[plain_m == 0], plain_m[plain_m == 0])
 
 
 def test_the_scale_of_a_clear_mean_is_known_as_well_as_frames_agree() -> None:
