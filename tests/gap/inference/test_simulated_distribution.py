@@ -158,6 +158,22 @@ def test_the_noise_of_elements_grows_as_their_spread_does_and_never_shrinks(stud
         assert found.whitening is start.whitening
 
 
+@pytest.mark.parametrize(("before", "expected"), [(0.0, 0.05), (49.0, 0.05), (51.0, 0.01)])
+def test_bins_that_other_weather_fills_have_the_noise_of_their_own_elements(
+    study: Study, before: float, expected: float
+) -> None:
+    """Of 100 elements with a spread of 1, in four frames: 1/20, where fewer than half as many told their noise."""
+    aim = target(study, np.zeros(BINS), 4)
+    name = aim.condition.id
+    weight, nothing = np.full((40, BINS), 100.0), np.zeros((40, 0))
+    alike = Pool(
+        LAYOUT, Reduced(weight, 0.0 * weight, weight, nothing, nothing[..., None]), np.zeros(40, dtype=np.intp)
+    )
+    noise = ElementNoise({name: np.full(BINS, 0.01)}, np.eye(BINS), {name: np.full(BINS, before)})
+    found = simulated_distribution({name: alike}, [aim], noise, None, 0)
+    np.testing.assert_allclose(found.sd[name], expected, rtol=1e-6)
+
+
 @pytest.mark.parametrize("clear", [2, MANY])
 def test_what_the_clear_frames_share_goes_together_as_the_elements_noise_does(study: Study, clear: int) -> None:
     """Correlations are those of the elements, however large a part of the scatter is the clear frames'."""

@@ -331,6 +331,15 @@ def test_misplaced_particles_make_counts_uncertain_by_what_crosses_the_edges() -
     np.testing.assert_allclose(pool.known_to(1, 0.03), expected, rtol=0.01)
 
 
+def test_misplaced_particles_move_what_stays_in_its_place() -> None:
+    """Of 300 particles in one of two rings 3 % may lie in the other, which the first then has too many of."""
+    maps = np.tile([300.0, 0.0], (2, 1, 1))
+    pool = Pool(Layout((), (), (), ("it",)), reduced(np.zeros((2, 0)), maps=maps))
+    assert pool.known_to(2)[0] == pytest.approx(3.0, rel=1e-9)
+    moved = pool.vectors(np.arange(2)[None])[0, 0] - math.hypot(0.97 * 300.0, 0.03 * 300.0)
+    assert pool.known_to(2, 0.03)[0] == pytest.approx(math.hypot(3.0, moved), rel=0.02)
+
+
 def test_a_bin_beside_a_full_one_knows_nothing() -> None:
     pool = particles("count", [1000.0, 0.0, 0.0], [1.0] * 3)
     added = np.sqrt(pool.known_to(1, 0.03) ** 2 - pool.known_to(1) ** 2)

@@ -11,7 +11,67 @@ RANDOM_EFFECTS = "torchweather.gap.statistics.frame_random_effects"
 FORMULA = "torchweather.gap.statistics.formula"
 CAMERA_FRAMES = "tests/gap/sensors/camera/test_camera_frames.py"
 
+OF_SCENE = "tests/gap/sensors/lidar/test_lidar_scene.py"
+DISTRIBUTION = "tests/gap/inference/test_simulated_distribution.py"
+LIDAR_SCENE = "torchweather.gap.sensors.lidar.scene"
+
 MUTANTS = (
+    Mutant(
+        "beams_chosen_by_the_noise_of_their_frame",
+        "no beam of a bin counts because the frame that a simulated one starts from was read high",
+        LIDAR_SCENE,
+        "margin_db <= FLICKER_SD * noise_db + beyond",
+        "margin_db <= FLICKER_SD * noise_db - 99.0",
+        (f"{OF_SCENE}::test_no_beam_of_a_bin_is_chosen_by_the_noise_of_its_own_frame",),
+    ),
+    Mutant(
+        "flicker_in_no_simulated_frame",
+        "a surface at the threshold that one clear frame saw is there in frames simulated from it",
+        LIDAR_SCENE,
+        "empty = count == 0",
+        "empty = (count == 0) & (count[-1:] == 0)",
+        (f"{OF_SCENE}::test_a_surface_that_one_clear_frame_saw_is_something_new_beside_the_others",),
+    ),
+    Mutant(
+        "particles_on_the_clock_of_no_frame",
+        "the clock of a frame moves its particles as it does its objects",
+        "torchweather.gap.sensors.lidar.frames",
+        "FrameClock(late_m=scene.clock_m[row].clamp(-1.0, 1.0))",
+        "FrameClock(late_m=0.0 * scene.clock_m[row])",
+        ("tests/gap/sensors/lidar/test_lidar_systematics.py::test_the_clock_of_a_frame_moves_its_particles",),
+    ),
+    Mutant(
+        "a_model_known_exactly",
+        "the error of a model, alike in all conditions, is no alarm",
+        RESIDUAL,
+        "level = (self.noise + self.model) * self.used",
+        "level = self.noise * self.used",
+        ("tests/gap/inference/test_residual_tests.py::test_an_error_of_the_model_in_all_conditions_is_no_alarm",),
+    ),
+    Mutant(
+        "a_model_known_better_in_common",
+        "the error of a model is one departure in all conditions",
+        RESIDUAL,
+        "np.square((np.sqrt(self.model) * self.used).sum(0)) / number",
+        "(self.model * self.used).sum(0) / number",
+        ("tests/gap/inference/test_residual_tests.py::test_an_error_of_the_model_in_all_conditions_is_no_alarm",),
+    ),
+    Mutant(
+        "noise_of_bins_that_were_empty",
+        "bins that only other weather fills have the noise of their own elements",
+        "torchweather.gap.inference.simulated_distribution",
+        "more = _elements(pools[name], 1) > ",
+        "more = _elements(pools[name], 1) < 0.0 * ",
+        (f"{DISTRIBUTION}::test_bins_that_other_weather_fills_have_the_noise_of_their_own_elements",),
+    ),
+    Mutant(
+        "maps_of_fog_known_exactly",
+        "particles that a model misplaces move what stays in its place",
+        "torchweather.gap.statistics.frame_statistics",
+        "math.hypot(METHOD.persistence_rel_error, misplaced)",
+        "METHOD.persistence_rel_error",
+        ("tests/gap/statistics/test_frame_statistics.py::test_misplaced_particles_move_what_stays_in_its_place",),
+    ),
     Mutant(
         "range_noise_of_a_logarithm",
         "the stage that copies a spread of range has it in metres",

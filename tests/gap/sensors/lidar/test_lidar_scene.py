@@ -90,6 +90,17 @@ def test_no_beam_of_a_bin_is_chosen_by_the_noise_of_its_own_frame() -> None:
     assert abs(np.concatenate(now).mean()) < 4.0 * error
 
 
+def test_a_surface_that_one_clear_frame_saw_is_something_new_beside_the_others() -> None:
+    range_m, margin_db = FAR.copy(), np.linspace(2.0, 12.0, BEAMS)
+    range_m[:, 5] = range_m[:, 6] = range_m[:, 7] = 0.0
+    range_m[2, 5] = range_m[1, 6] = range_m[4, 6] = RANGE_M  # seen once, twice, never
+    found = scene_of(range_m, np.where(range_m > 0, noisy(RNG(2), margin_db, 0.03), 0.0))
+    expected = np.zeros((FRAMES + 1, BEAMS), bool)
+    expected[2, 5], expected[:, 7] = True, True
+    np.testing.assert_array_equal(found.empty.numpy(), expected)
+    assert not found.stable[5:8].any()
+
+
 def test_the_clock_of_each_clear_frame_is_found() -> None:
     late_m = np.array([0.004, -0.01, 0.0, 0.002, 0.001, 0.003])
     range_m = FAR + late_m[:, None] + 0.02 * RNG(9).normal(size=FAR.shape)
