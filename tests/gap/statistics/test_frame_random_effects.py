@@ -140,7 +140,7 @@ def test_what_whole_frames_do_is_the_pooled_variance_of_clear_frames() -> None:
             pooled[part, part] += (even[name] ** 2).sum() / degrees_of_freedom
         for one in entries:
             pooled += np.outer(one, one) / degrees_of_freedom
-    pooled *= stats.t.isf(0.5e-3, degrees_of_freedom) ** 2 / stats.norm.isf(0.5e-3) ** 2
+    pooled *= stats.t.isf(0.5e-4, degrees_of_freedom) ** 2 / stats.norm.isf(0.5e-4) ** 2
     search, at = bare(), base()
     departures = frame_departures(search.model, search.measured)
     found = covariance(clear_errors(departures, search.measured, set(), partial(search._column, at)))
@@ -242,13 +242,36 @@ def test_the_noise_of_elements_is_nothing_that_whole_frames_do(clock: float) -> 
     assert abs(found[2]).max() < 2e-4
 
 
+def test_two_frames_that_are_alike_by_chance_make_no_steady_clock() -> None:
+    """Means of 1,024 elements with noise of 1, without a clock's: as much as that noise, twice the scatter of its square
+    from two scenes of two frames, may be hidden in it."""
+    portions, each = METHOD.portions, 8
+
+    def frames(scene: str, parts: int = 1) -> Reduced:
+        value = RNG([11, int(scene)]).normal(size=(2, portions, each))
+        value -= value.mean(1, keepdims=True).mean(2, keepdims=True)  # their means are the same to the last digit
+        sums = (np.full((2, portions, 1), float(each)), value.sum(-1)[..., None], (value**2).sum(-1)[..., None])
+        shaped = [one.reshape(-1, 1) if parts > 1 else one.sum(1) for one in sums]
+        return Reduced(*shaped, np.zeros((len(shaped[0]), 0)), np.zeros((len(shaped[0]), 0, 1)))
+
+    measured = [
+        Observation(SimpleNamespace(scene=str(scene)), np.zeros(1), np.ones(1, bool), 1, clear_frames=2)  # type: ignore[arg-type]
+        for scene in range(2)
+    ]
+    layout = Layout((Group("apart", "x", "mean", (0.0, 1.0)),), (), (), ())
+    model: Any = SimpleNamespace(layout=layout, clear=frames)
+    (even,) = (one.entries for one in frame_departures(model, measured) if one.even)
+    # Departures from the mean of two are half as large in square, twice: noise / 4, times 2 sqrt(2 / 2).
+    assert even[0] ** 2 == pytest.approx(widened(2) * 2.0 * 0.25 / 1024, rel=0.1)
+
+
 def test_a_scatter_known_from_few_frames_is_widened_as_student_has_it() -> None:
-    # Two-sided one in a thousand, from tables of Student's t; 3.2905 of the normal law.
-    for degrees_of_freedom, quantile in ((1, 636.62), (5, 6.869), (10, 4.587), (30, 3.646), (120, 3.373)):
-        assert widened(degrees_of_freedom) == pytest.approx((quantile / 3.2905) ** 2, rel=1e-3)
+    # Two-sided one in ten thousand, from tables of Student's t; 3.8906 of the normal law.
+    for degrees_of_freedom, quantile in ((1, 6366.2), (5, 11.178), (10, 6.211), (30, 4.482), (120, 4.025)):
+        assert widened(degrees_of_freedom) == pytest.approx((quantile / 3.8906) ** 2, rel=1e-3)
         # The normal law of that variance reaches as far as often.
         reach = stats.t.ppf(1.0 - 0.5 * METHOD.frame_noise_p, degrees_of_freedom)
-        assert 2.0 * stats.norm.sf(reach / math.sqrt(widened(degrees_of_freedom))) == pytest.approx(1e-3, rel=1e-6)
+        assert 2.0 * stats.norm.sf(reach / math.sqrt(widened(degrees_of_freedom))) == pytest.approx(1e-4, rel=1e-6)
     each = [widened(degrees_of_freedom) for degrees_of_freedom in range(1, 60)]
     assert each == sorted(each, reverse=True)
     assert widened(10**7) == pytest.approx(1.0, abs=1e-5)

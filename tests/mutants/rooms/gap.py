@@ -65,6 +65,16 @@ MUTANTS = (
         (f"{DISTRIBUTION}::test_bins_that_other_weather_fills_have_the_noise_of_their_own_elements",),
     ),
     Mutant(
+        "frames_alike_by_chance_are_steady",
+        "a few frames that are alike by chance make no steady clock",
+        RANDOM_EFFECTS,
+        "max(excess, well_may_be * noises[name])",
+        "excess",
+        (
+            "tests/gap/statistics/test_frame_random_effects.py::test_two_frames_that_are_alike_by_chance_make_no_steady_clock",
+        ),
+    ),
+    Mutant(
         "maps_of_fog_known_exactly",
         "particles that a model misplaces move what stays in its place",
         "torchweather.gap.statistics.frame_statistics",

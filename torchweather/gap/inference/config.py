@@ -118,7 +118,7 @@ class InferenceConfig:
     persistence_rel_error: float = 0.01  # of a persistent pattern of dense weather
     linear_step: float = 1e-4  # of a departure, within which entries are linear
     weather_mean_rel_error: float = 0.005  # of the change of a mean by weather: two codes of one physics differ so
-    frame_noise_p: float = 1e-3  # probability that the noise of whole frames exceeds its stated bound
+    frame_noise_p: float = 1e-4  # probability that the noise of whole frames exceeds its stated bound: below alarm_p
 
     # ---- Formulas of a departure over an axis ----
     formula_points: int = 16  # at which a formula is averaged within a bin

@@ -59,6 +59,7 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
         return []
     residuals: list[Floats] = []  # summed up in square: the variance of a frame
     evenly: dict[str, float] = {}  # variance of a mean over all elements
+    noises: dict[str, float] = {}  # what the noise of those makes of it
     found, expected = np.zeros(layout.size), np.zeros(layout.size)
     for scene, number in scenes.items():
         pool = Pool(layout, model.clear(scene))
@@ -73,6 +74,7 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
             apart -= even[:, None] * (layout.averages & (statistic == name))
             excess = float((even**2).sum()) - (number - 1) * variance
             evenly[name] = evenly.get(name, 0.0) + excess / degrees_of_freedom
+            noises[name] = noises.get(name, 0.0) + (number - 1) * variance / degrees_of_freedom
         found += (apart**2).sum(0) / degrees_of_freedom
         expected += noise * (number - 1) / degrees_of_freedom
         residuals += list(apart / math.sqrt(degrees_of_freedom))
@@ -84,7 +86,10 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
     widening = math.sqrt(widened(degrees_of_freedom))
     one_frame = [FrameDeparture(widening * np.sqrt(share) * residual) for residual in residuals if share.any()]
     # A few frames do not tell how an even shift of all entries looks: it is known.
-    for name, variance in evenly.items():
+    well_may_be = METHOD.well_may_be_sd * math.sqrt(2.0 / degrees_of_freedom)
+    for name, excess in evenly.items():
+        # A few frames that are alike by chance, to the noise of their elements, make no steady sensor.
+        variance = max(excess, well_may_be * noises[name])
         entries = layout.averages & (statistic == name)
         one_frame += [FrameDeparture(widening * math.sqrt(variance) * entries, name)] if variance > 0 else []
     return one_frame
@@ -151,12 +156,12 @@ def model_errors(
 
 
 def widened(degrees_of_freedom: int) -> float:
-    """Variance at which the normal law reaches as far, one time in 1,000, as Student's of a scatter known from so many
+    """Variance at which the normal law reaches as far, one time in 10,000, as Student's of a scatter known from so many
     degrees of freedom.
 
     Example:
         >>> round(widened(14), 2), round(widened(2), 1)
-        (1.58, 92.2)
+        (1.9, 660.5)
     """
     return float(
         (stats.t.isf(0.5 * METHOD.frame_noise_p, degrees_of_freedom) / stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 2
