@@ -243,7 +243,7 @@ def test_the_noise_of_elements_is_nothing_that_whole_frames_do(clock: float) -> 
 
 
 def test_two_frames_that_are_alike_by_chance_make_no_steady_clock() -> None:
-    """Means of 1,024 elements with noise of 1, without a clock's: as much as that noise, twice the scatter of its square
+    """Means of 1,024 elements with noise of 1, without a clock: as much as that noise, twice the scatter of its square
     from two scenes of two frames, may be hidden in it."""
     portions, each = METHOD.portions, 8
 
