@@ -206,6 +206,30 @@ def test_moved_nuisances_stay_within_their_bounds(null: SimulatorLikelihood) -> 
     np.testing.assert_allclose(null.offset(found)[:5], (METHOD.nuisance_bound_sd, 0.0, 1.5, 0.5, -2.5), rtol=1e-12)
 
 
+def test_responses_are_kept_while_steps_gain_what_they_promise(
+    null: SimulatorLikelihood, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a window that loses 0.5 dB: as good a place, for fewer responses."""
+    like = null.profile(ParameterPoint())
+    point = ParameterPoint({"lidar.window_loss": {"loss_db": 0.5}})
+    renewed: list[int] = []
+    real = null.nuisance
+
+    def counted(*of: Any) -> Any:
+        renewed.append(1)
+        return real(*of)
+
+    monkeypatch.setattr(null, "nuisance", counted)
+    found = {}
+    for kept in (math.inf, METHOD.kept_while_gained, -math.inf):
+        renewed.clear()
+        _, nuisance, residual = null._profiled(point, like.base, like.nuisance.moved(null.offset(point)), 6, kept)
+        found[kept] = len(renewed), null.misfit(residual, nuisance)
+    assert found[math.inf][0] > found[METHOD.kept_while_gained][0]
+    assert found[-math.inf][0] == 0
+    assert abs(found[math.inf][1] - found[METHOD.kept_while_gained][1]) < METHOD.converged_chi2
+
+
 def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:
     """Frames of weather that is two standard deviations weaker, whose record is not told of it."""
     search = search_of(tiny_study(rows=16, columns=32, clear=4, weathers=WEATHERS, rel_sd=0.3))

@@ -75,6 +75,14 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "responses_never_kept",
+        "responses to nuisances are kept beside a weak effect while steps gain what they promise",
+        "torchweather.gap.inference.likelihood",
+        "if gained < kept_while_gained * promised:",
+        "if gained < math.inf:",
+        ("tests/gap/inference/test_likelihood.py::test_responses_are_kept_while_steps_gain_what_they_promise",),
+    ),
+    Mutant(
         "maps_of_fog_known_exactly",
         "particles that a model misplaces move what stays in its place",
         "torchweather.gap.statistics.frame_statistics",

@@ -62,6 +62,8 @@ class InferenceConfig:
     doubled_from: float = 1.2
     max_iterations: int = 10  # Gauss-Newton steps of a fit
     nuisance_rounds: int = 10  # Gauss-Newton steps of the nuisances alone
+    # Of the decrease that responses to nuisances promise beside a weak effect, up to which they are kept.
+    kept_while_gained: float = 0.5
     converged_chi2: float = 3.0  # gain below which one more of those steps is not worth its frames
     unmodelled_share: float = 0.5  # scatter of a statistic that no parameter gives, over its change by the effect
     nuisance_bound_sd: float = 4.0  # standard deviations by which a nuisance may move

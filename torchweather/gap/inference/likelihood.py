@@ -453,25 +453,38 @@ class SimulatorLikelihood:
             The point, the nuisances there, and the misfit.
         """
         point = self._scanned(point)
-        found, nuisance, residual = self._profiled(point, like.base, like.nuisance.moved(self.offset(point)), rounds)
+        here = like.nuisance.moved(self.offset(point))
+        found, nuisance, residual = self._profiled(point, like.base, here, rounds, METHOD.kept_while_gained)
         return found, nuisance, self.misfit(residual, nuisance)
 
     def _profiled(
-        self, point: ParameterPoint, base: SimulatedDistribution, nuisance: Systematics, rounds: int
+        self,
+        point: ParameterPoint,
+        base: SimulatedDistribution,
+        nuisance: Systematics,
+        rounds: int,
+        kept_while_gained: float = math.inf,
     ) -> tuple[ParameterPoint, Systematics, Floats]:
-        """The point with its nuisances moved, the nuisances, and the residual there."""
+        """The point with its nuisances moved, the nuisances, and the residual there.
+
+        Responses are renewed behind a step that gained less than such a share of what they promised, as in the chord
+        method: they cost more frames than a step.
+        """
         residual = self.departure(base, self.mean(point))
         cost = nuisance.cost(residual)
         for _ in range(rounds):
-            found = self._along(point, (), self._bounded(residual, nuisance), cost, base, nuisance)
+            step = self._bounded(residual, nuisance)
+            found = self._along(point, (), step, cost, base, nuisance)
             if found is None:
                 break
-            gained = cost - found[0]
+            gained, promised = cost - found[0], cost - step.misfit
             cost, point, mean = found
             residual = self.departure(base, mean)
             if gained < METHOD.converged_chi2 + STALLED_SHARE * cost:
                 break
-            nuisance = self.nuisance(point, base)
+            if gained < kept_while_gained * promised:
+                nuisance = self.nuisance(point, base)
+            nuisance = nuisance.moved(self.offset(point))
             cost = nuisance.cost(residual)
         return point, nuisance.moved(self.offset(point)), residual
 
