@@ -240,6 +240,12 @@ def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:
     # Where it stands is kept if no place of the grid is nearer.
     assert search._scanned(ParameterPoint({}, {"c0": -0.58})).log_intensity == pytest.approx({"c0": -0.58}, abs=0.03)
     assert search._scanned(ParameterPoint({}, {"c0": 0.1})).log_intensity == pytest.approx({"c0": -0.6})
+    # Between places of the grid, to an eighth of a standard deviation.
+    between = search.mean(ParameterPoint({}, {"c0": -0.18}), METHOD.screen_frames)[0]
+    search.measured = [replace(aim, vector=between)]
+    scanned = search._scanned(ParameterPoint(), METHOD.intensity_halvings_sd).log_intensity
+    assert scanned == pytest.approx({"c0": -0.18}, abs=0.5 * 0.125 * 0.3 + 1e-9)
+    search.measured = [replace(aim, vector=weaker)]
     # Fitted, it pays its prior: a little nearer to the record.
     assert search.begin().point.log_intensity == pytest.approx({"c0": -0.6}, abs=0.06)
 

@@ -83,6 +83,14 @@ MUTANTS = (
         ("tests/gap/inference/test_likelihood.py::test_responses_are_kept_while_steps_gain_what_they_promise",),
     ),
     Mutant(
+        "no_intensity_between_places_of_the_grid",
+        "the weather's intensity is looked for between the places of a grid before a first step",
+        "torchweather.gap.inference.likelihood",
+        "for sign in (-1.0, 1.0):",
+        "for sign in ():",
+        ("tests/gap/inference/test_likelihood.py::test_a_record_that_is_far_off_is_first_looked_for_on_a_grid",),
+    ),
+    Mutant(
         "maps_of_fog_known_exactly",
         "particles that a model misplaces move what stays in its place",
         "torchweather.gap.statistics.frame_statistics",

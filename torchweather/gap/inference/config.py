@@ -54,6 +54,7 @@ class InferenceConfig:
     probe_draws: int = 32  # of the vector of statistics, for a cost
     kept_frames: int = 8192  # reduced, of all points; some 10 kB each
     intensity_grid_sd: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)  # starts of intensities, in their recorded sd
+    intensity_halvings_sd: tuple[float, ...] = (0.5, 0.25, 0.125)  # to either side of the best of these
     systematic_step_sd: float = 2.0  # of a derivative by a systematic: a smaller step changes too few particles
     angle_step_rad: float = 0.025  # least step of a derivative by an angle: about one column
     derivative_step: float = 0.05  # over the typical size of a parameter

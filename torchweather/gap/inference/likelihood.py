@@ -428,7 +428,7 @@ class SimulatorLikelihood:
 
     def profile(self, point: ParameterPoint) -> Fit:
         """Profile over the nuisances at a point of effects; the intensities are first looked for on a grid."""
-        point = self._scanned(point)
+        point = self._scanned(point, METHOD.intensity_halvings_sd)
         base = self.at(point)
         point, nuisance, _ = self._profiled(point, base, self.nuisance(point, base), METHOD.nuisance_rounds)
         if not point.values:
@@ -488,25 +488,44 @@ class SimulatorLikelihood:
             cost = nuisance.cost(residual)
         return point, nuisance.moved(self.offset(point)), residual
 
-    def _scanned(self, point: ParameterPoint) -> ParameterPoint:
+    def _scanned(self, point: ParameterPoint, halvings: Sequence[float] = ()) -> ParameterPoint:
         """A point with each condition's intensity where its own vector is met best, of a few over the record.
 
-        Fog whose echo lies at the threshold is seen by all beams or by none: no derivative leads from one to the other.
+        Fog whose echo lies at the threshold is seen by all beams or by none: no derivative leads from one to the other,
+        and from a tenth of a visibility away the first step takes the brightness of fog as far off as it may.
+
+        Args:
+            point: to begin from.
+            halvings: distances to either side of the best of those, in standard deviations, that are tried after them.
         """
         sd = self.intensity_sd()
-        places = [self.offset(point)[: len(sd)], *(np.full(len(sd), place) for place in METHOD.intensity_grid_sd)]
-        costs = []
-        for place in places:
-            intensities = {target.condition.id: float(place[k] * sd[k]) for k, target in enumerate(self.measured)}
-            mean = self.mean(replace(point, log_intensity=intensities), METHOD.screen_frames)
-            residuals = [
-                self.start.whitened(target.condition.id, target.vector - one)
-                for target, one in zip(self.measured, mean, strict=True)
-            ]
-            costs.append((np.stack(residuals) ** 2).sum(1) + place**2)
-        best = np.argmin(costs, 0)
-        intensities = {t.condition.id: float(places[best[k]][k] * sd[k]) for k, t in enumerate(self.measured)}
+        best = self.offset(point)[: len(sd)]
+        least = self._cost_of_intensities(point, best)
+        for place in METHOD.intensity_grid_sd:
+            best, least = self._better(point, best, least, np.full(len(sd), place))
+        for step in halvings:
+            middle = best
+            for sign in (-1.0, 1.0):
+                best, least = self._better(point, best, least, middle + sign * step)
+        intensities = {t.condition.id: float(best[k] * sd[k]) for k, t in enumerate(self.measured)}
         return replace(point, log_intensity=intensities)
+
+    def _better(self, point: ParameterPoint, best: Floats, least: Floats, place: Floats) -> tuple[Floats, Floats]:
+        """Of each condition the better of two intensities ``(C,)``, in standard deviations, and what it leaves."""
+        cost = self._cost_of_intensities(point, place)
+        return np.where(cost < least, place, best), np.minimum(cost, least)
+
+    def _cost_of_intensities(self, point: ParameterPoint, place: Floats) -> Floats:
+        """``(C,)`` square that each condition's vector leaves at an intensity, with that of the record."""
+        sd = self.intensity_sd()
+        intensities = {target.condition.id: float(place[k] * sd[k]) for k, target in enumerate(self.measured)}
+        mean = self.mean(replace(point, log_intensity=intensities), METHOD.screen_frames)
+        residuals = [
+            self.start.whitened(target.condition.id, target.vector - one)
+            for target, one in zip(self.measured, mean, strict=True)
+        ]
+        found: Floats = (np.stack(residuals) ** 2).sum(1) + place**2
+        return found
 
     # ---- responses and fits ----------------------------------------------------------------------------------------
 
