@@ -35,7 +35,7 @@ def degrees_of(floor: float, ratio: float, used: list[bool], told: float = 0.0) 
         degrees_of_freedom={"c": np.array([floor, floor, ratio, ratio])},
         told_by_clear={"c": np.full(4, told)},
     )
-    return StatisticDegrees(LAYOUT, base, ["c"])
+    return StatisticDegrees(LAYOUT, base, {"c": "s0"})
 
 
 def test_bins_of_a_statistic_share_the_error_of_its_scatter_and_statistics_do_not() -> None:
@@ -48,6 +48,21 @@ def test_bins_of_a_statistic_share_the_error_of_its_scatter_and_statistics_do_no
     # By the same clear frames both are off alike.
     assert degrees_of(7.0, 7.0, [True] * 4, told=1.0).of(np.array([1.0, 0.0, 0.0, 1.0])) == pytest.approx(7.0)
     assert degrees_of(7.0, 14.0, [False, False, True, True]).of_all == pytest.approx(14.0)
+
+
+@pytest.mark.parametrize(("scene", "expected"), [("s0", 7.0), ("s1", 14.0)])
+def test_scenes_have_clear_frames_of_their_own(scene: str, expected: float) -> None:
+    """Two conditions that depart as much: of one scene their noise is off alike, of two each by its own error."""
+    names = ("c", "d")
+    base: Any = SimpleNamespace(
+        used=dict.fromkeys(names, np.ones(4, bool)),
+        expected=dict.fromkeys(names, np.ones(4)),
+        degrees_of_freedom=dict.fromkeys(names, np.full(4, 7.0)),
+        told_by_clear=dict.fromkeys(names, np.ones(4)),
+    )
+    known = StatisticDegrees(LAYOUT, base, {"c": "s0", "d": scene})
+    assert known.of(np.ones(8)) == known.of_all == pytest.approx(expected)
+    assert known.of(np.concatenate([np.ones(4), np.zeros(4)])) == pytest.approx(7.0)
 
 
 def test_an_alarm_by_a_fitted_effect_knows_how_sure_its_noise_is() -> None:

@@ -227,7 +227,9 @@ def test_responses_are_kept_while_steps_gain_what_they_promise(
         found[kept] = len(renewed), null.misfit(residual, nuisance)
     assert found[math.inf][0] > found[METHOD.kept_while_gained][0]
     assert found[-math.inf][0] == 0
-    assert abs(found[math.inf][1] - found[METHOD.kept_while_gained][1]) < METHOD.converged_chi2
+    # A step that gains less than this is the last one.
+    enough = METHOD.converged_chi2 + 1e-3 * found[math.inf][1]
+    assert abs(found[math.inf][1] - found[METHOD.kept_while_gained][1]) < enough
 
 
 def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:

@@ -122,7 +122,7 @@ def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
     )
     search: Any = SimpleNamespace(
         model=SimpleNamespace(layout=LAYOUT),
-        measured=[SimpleNamespace(condition=SimpleNamespace(id=name)) for name in names],
+        measured=[SimpleNamespace(condition=SimpleNamespace(id=name, scene=name[1])) for name in names],
     )
     found = residual_test(search, base)
     np.testing.assert_array_equal(found.places, ENTRIES)
@@ -131,6 +131,7 @@ def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
     np.testing.assert_allclose(found.noise, levels, rtol=1e-12)
     np.testing.assert_array_equal(found.event, [4.0 * each] * 2)
     np.testing.assert_array_equal(found.model, [0.5 * each] * 2)
+    np.testing.assert_array_equal(found.scene, [0, 1])
     np.testing.assert_array_equal(found.degrees_of_freedom, [10.0 + each] * 2)
 
 
@@ -196,3 +197,21 @@ def test_an_error_of_the_model_in_all_conditions_is_no_alarm(share: float) -> No
         of_common = unit * math.sqrt(np.quantile(patterns, 1.0 - chance) / (3 * conditions))
         assert 0.25 * chance < one.common_p_value(of_common.ravel()) < 2.0 * chance
     assert ResidualTest(np.zeros(3, int), one.used, noise).common_p_value(of_common.ravel()) < 1e-3 * chance
+
+
+@pytest.mark.parametrize("scenes", [1, 2])
+def test_each_scene_has_an_error_of_its_noise(scenes: int) -> None:
+    """Four conditions of five entries; the scatter of each scene is told by ten of its kind, and right in the mean of
+    the squares."""
+    rng, degrees_of_freedom, draws = RNG(9), 10.0, 200_000
+    scene = np.arange(4) % scenes
+    scale = rng.chisquare(degrees_of_freedom, (draws, scenes))[:, scene] / (degrees_of_freedom - 2.0)
+    squares = (rng.chisquare(5, (draws, 4)) / scale).sum(1)
+    unit = np.ones((4, 5))
+    one = ResidualTest(np.zeros(5, int), unit > 0, unit, 0.0, degrees_of_freedom * unit, scene=scene)
+    alike = ResidualTest(np.zeros(5, int), unit > 0, unit, 0.0, degrees_of_freedom * unit)
+    for chance in (0.1, 1e-2, 1e-3):
+        left = unit * math.sqrt(np.quantile(squares, 1.0 - chance) / 20.0)
+        # The law of F has the variance of the errors, and a shorter tail than two of them.
+        assert 0.4 * chance < one.p_value(left.ravel()) < 4.0 * chance
+        assert (alike.p_value(left.ravel()) > 1.5 * one.p_value(left.ravel())) == (scenes == 2)

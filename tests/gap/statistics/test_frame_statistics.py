@@ -331,6 +331,17 @@ def test_misplaced_particles_make_counts_uncertain_by_what_crosses_the_edges() -
     np.testing.assert_allclose(pool.known_to(1, 0.03), expected, rtol=0.01)
 
 
+def test_one_element_seen_again_and_again_is_no_sure_mean() -> None:
+    """Bins at 0 and 3 with no spread of their own: elements differ by 1.5 over all, which counts as five of them."""
+    number, weight = 4, np.array([[5.0, 5.0]])
+    value = weight * np.array([0.0, 3.0])
+    layout = Layout((Group("it", "x", "mean", (0.0, 1.0, 2.0)), Group("many", "x", "count", (0.0, 1.0))), (), (), ())
+    frames = [np.concatenate([one, [[1.0]]], 1) for one in (weight, value, value * np.array([0.0, 3.0]))]
+    found = Pool(layout, reduced(*frames)).scatter_of_few(number, 5.0)
+    np.testing.assert_allclose(found[:2], math.sqrt(5.0 * 1.5**2 / 25.0 / 20.0), rtol=1e-9)
+    assert found[2] == 0.0
+
+
 def test_misplaced_particles_move_what_stays_in_its_place() -> None:
     """Of 300 particles in one of two rings 3 % may lie in the other, which the first then has too many of."""
     maps = np.tile([300.0, 0.0], (2, 1, 1))

@@ -87,7 +87,12 @@ class CalibratedScatter:
 
 
 def calibrated_scatter(
-    pools: Mapping[str, Pool], sizes: Mapping[str, MeasuredSize], elements: Mapping[str, Floats], seed: int
+    pools: Mapping[str, Pool],
+    sizes: Mapping[str, MeasuredSize],
+    elements: Mapping[str, Floats],
+    seed: int,
+    known: Mapping[str, Floats] | None = None,
+    least: Mapping[str, Floats] | None = None,
 ) -> dict[str, CalibratedScatter]:
     """Scatter of the vectors of conditions.
 
@@ -96,6 +101,8 @@ def calibrated_scatter(
         sizes: how much was measured.
         elements: condition to ``(P,)`` scatter of the measured vector by the noise of elements.
         seed: of the draws.
+        known: condition to ``(P,)`` degrees of freedom of the scatter by the noise of elements; exact where left out.
+        least: condition to ``(P,)`` scatter of means below which none is taken, however alike simulated frames are.
     """
     layout = next(iter(pools.values())).layout
     components = {name: frame_components(pool, sizes[name].frames) for name, pool in pools.items()}
@@ -107,9 +114,18 @@ def calibrated_scatter(
     dispersion = _dispersion(layout, counted, variance)
     told = {name: _told(share, len(pool), sizes[name].clear_frames) for name, pool in pools.items()}
     laws = _spread_laws(layout, elements, variance, told)
+    exact, none = np.full(layout.size, np.inf), np.zeros(layout.size)
     return {
         name: _scatter(
-            pool, sizes[name], drawn[name], components[name], share, elements[name], counted[name], dispersion, laws
+            pool,
+            sizes[name],
+            drawn[name],
+            components[name],
+            share,
+            _ElementLaw(elements[name], (known or {}).get(name, exact), (least or {}).get(name, none)),
+            counted[name],
+            dispersion,
+            laws,
         )
         for name, pool in pools.items()
     }
@@ -127,6 +143,21 @@ def _variance(layout: Layout, draws: Floats, share: Floats, clear: int) -> Float
 
 def _is_spread(statistic: str, group: Group) -> bool:
     return group.statistic == statistic and group.kind == "spread"
+
+
+@dataclass(frozen=True)
+class _ElementLaw:
+    """Scatter of the measured vector by the noise of elements.
+
+    Args:
+        sd: ``(P,)``.
+        degrees_of_freedom: ``(P,)`` with which it is known.
+        least: ``(P,)`` scatter of means below which none is taken.
+    """
+
+    sd: Floats
+    degrees_of_freedom: Floats
+    least: Floats
 
 
 @dataclass(frozen=True)
@@ -232,7 +263,10 @@ class _Counted:
             self.variance[part] = counted_variance(group.kind, number * weight, expected)
 
     def told(self) -> Floats:
-        """``(P,)`` frames' worth of knowledge that simulated frames have of the variance of a count themselves."""
+        """``(P,)`` one over the relative variance of the variance of a count that simulated frames tell themselves.
+
+        With N of them that is ``(2 + 1 / lambda) / N``.
+        """
         per_frame = 1.0 / np.maximum(self.expected, TINY)
         found: Floats = self.independent / (2.0 + per_frame)
         return found
@@ -316,7 +350,7 @@ def _scatter(
     draws: Floats,
     components: FrameComponents,
     share: Floats,
-    elements: Floats,
+    by_law: _ElementLaw,
     counted: _Counted,
     dispersion: Mapping[str, float],
     laws: Mapping[str, _SpreadLaw],
@@ -326,13 +360,13 @@ def _scatter(
     variance = _variance(layout, draws, share, clear) * (1.0 + np.minimum(components.unsure, METHOD.most_unsure))
     told = _told(share, frames, clear)
     by_clear_frames = share * told / max(min(clear, frames) - 1, 1)
-    degrees_of_freedom = np.where(layout.by_elements, np.inf, told)
+    elements, by_elements = by_law.sd, layout.by_elements
+    degrees_of_freedom = np.where(by_elements, by_law.degrees_of_freedom, told)
     own, simulated, of_clear = np.zeros(layout.size), np.zeros(layout.size), np.zeros(layout.size)
     expected, event = np.ones(layout.size), np.zeros(layout.size)
     model_error = pool.known_to(number, size.misplaced) ** 2
     # Means of elements, and what happens by chance in clear frames: the noise of elements is known from the clear
     # frames of all scenes, and their own error is the same in all conditions of one.
-    by_elements = layout.by_elements
     from_clear = layout.each(lambda group: group.statistic in layout.from_clear)
     # What happens by chance in clear frames is simulated as often as they show it: their error is all of it. The same
     # holds for squares about the mean of two frames, which are alike in both.
@@ -350,7 +384,8 @@ def _scatter(
             known, prior, least = counted.told()[part], counted.prior()[part], counted.least(group, part, alike)
             law = alike * counted.variance[part]
             mixed = (known * variance[part] + prior * law) / (known + prior)
-            degrees_of_freedom[part] = known + prior
+            # A variance that is known to the relative variance v has 2 / v degrees of freedom.
+            degrees_of_freedom[part] = 2.0 * (known + prior)
             share_of_null = layout.scatter_share.get(group.statistic, 1.0)
             mixed = mixed * share_of_null
             own[part] = np.maximum(mixed, least)
@@ -388,12 +423,12 @@ def _scatter(
             simulated[part] = variance[part] * (1.0 - share[part]) * number / frames
             of_clear[part] = variance[part] * share[part] * number / clear
         else:
-            by_law = laws.get(group.statistic) if group.kind == "spread" else None
-            if by_law is None:
-                own[part] = variance[part]
+            of_spread = laws.get(group.statistic) if group.kind == "spread" else None
+            if of_spread is None:
+                own[part] = np.maximum(variance[part], by_law.least[part] ** 2 if group.kind == "mean" else 0.0)
             else:
-                law = by_law.over * elements[part] ** 2
-                prior = np.where(law > TINY**2, by_law.degrees_of_freedom, 0.0)
+                law = of_spread.over * elements[part] ** 2
+                prior = np.where(law > TINY**2, of_spread.degrees_of_freedom, 0.0)
                 own[part] = (told[part] * variance[part] + prior * law) / (told[part] + prior)
                 degrees_of_freedom[part] += prior
             simulated[part] = own[part] * (1.0 - share[part]) * number / frames

@@ -1,8 +1,8 @@
 """Degrees of freedom behind a gain: how surely the noise is known that it is measured by.
 
-A few clear frames tell the scatter of some statistics. Their noise is the same in all bins and conditions, so each
-statistic has one error of its scatter. As far as clear frames make it, it is taken for one error of all statistics:
-noise that is stronger in one of them is so in the others.
+A few clear frames of a scene tell the scatter of some statistics. Their noise is the same in all bins and conditions of
+that scene, so each statistic has one error of its scatter there. As far as clear frames make it, it is taken for one
+error of all statistics: noise that is stronger in one of them is so in the others. Another scene has other ones.
 
 References:
     Student 1908. Satterthwaite 1946 (degrees of a weighted sum of variances). Wallace 1959 (the normal number as
@@ -11,7 +11,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +30,17 @@ class StatisticDegrees:
     Args:
         layout: of the vectors.
         base: their distribution.
-        names: conditions, in their order.
+        scenes: condition to its scene, in the order of the conditions.
     """
 
-    def __init__(self, layout: Layout, base: SimulatedDistribution, names: Sequence[str]) -> None:
+    def __init__(self, layout: Layout, base: SimulatedDistribution, scenes: Mapping[str, str]) -> None:
+        names = list(scenes)
         statistics = [group.statistic for group in layout.groups for _ in range(group.bins)]
         numbers = {one: place for place, one in enumerate(dict.fromkeys(statistics))}
-        self.places = np.tile([numbers[one] for one in statistics], len(names))
+        numbered = {one: place for place, one in enumerate(dict.fromkeys(scenes.values()))}
+        self.scenes, self.statistics = len(numbered), len(numbers)
+        own = np.array([numbers[one] for one in statistics])
+        self.places = np.concatenate([numbered[scene] * self.statistics + own for scene in scenes.values()])
         used, expected, degrees_of_freedom, told = (
             np.concatenate([getattr(base, field)[name] for name in names])
             for field in ("used", "expected", "degrees_of_freedom", "told_by_clear")
@@ -49,8 +53,8 @@ class StatisticDegrees:
         )
 
     def _summed(self, values: Floats) -> Floats:
-        """Values ``(C P,)`` summed by statistic."""
-        return np.asarray(np.bincount(self.places, values), dtype=np.float64)
+        """Values ``(C P,)`` summed by scene and statistic."""
+        return np.asarray(np.bincount(self.places, values, self.scenes * self.statistics), dtype=np.float64)
 
     def of(self, response: Floats) -> float:
         """Degrees of freedom of the noise along a whitened response ``(C P,)``; ``inf`` where it is known."""
@@ -62,8 +66,9 @@ class StatisticDegrees:
         return self._together(self.level)
 
     def _together(self, weight: Floats) -> float:
-        share = weight / max(float(weight.sum()), 1e-300)
-        found = float((share**2 * self.own + share * self.common).sum())
+        share = (weight / max(float(weight.sum()), 1e-300)).reshape(self.scenes, self.statistics)
+        own, common = (values.reshape(share.shape) for values in (self.own, self.common))
+        found = float((share**2 * own).sum() + (share.sum(1) * (share * common).sum(1)).sum())
         return 1.0 / found if found > 0.0 else float("inf")
 
 

@@ -113,7 +113,8 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
     placed = np.array([any(one.name in PLACES for one in template.grid.effect.arguments) for template in templates])
     best_null = best_of_places(of_nulls, placed, _sectors(search), seed)
     misfit_null = np.einsum("rk,rk->r", nulls, nuisance(nulls))
-    known = StatisticDegrees(search.model.layout, search.start, [target.condition.id for target in search.measured])
+    scenes = {target.condition.id: target.condition.scene for target in search.measured}
+    known = StatisticDegrees(search.model.layout, search.start, scenes)
     degrees_of_freedom = np.array([known.of(template.response) for template in templates])
     gain = delta_chi2(templates, left[None], nuisance)[0]
     misfit = search.misfit(residual, nuisance)

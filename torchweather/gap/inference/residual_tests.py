@@ -40,6 +40,8 @@ class ResidualTest:
         event: ``(C, P)`` square that one event beyond the expected ones makes of an entry; 0 of what has none.
         degrees_of_freedom: ``(C, P)``, with which that noise is known.
         model: ``(C, P)`` square that the error of a model leaves beside it, the same departure in all conditions.
+        scene: ``(C,)`` number of the scene of each condition, whose clear frames make one error of its noise; one scene
+            where it is left out.
     """
 
     places: NDArray[np.intp]
@@ -48,6 +50,7 @@ class ResidualTest:
     event: Floats | float = 0.0
     degrees_of_freedom: Floats | float = np.inf
     model: Floats | float = 0.0
+    scene: NDArray[np.intp] | int = 0
 
     @property
     def groups(self) -> int:
@@ -63,9 +66,8 @@ class ResidualTest:
         model = self.model * self.used
         level = (self.noise + self.model) * self.used
         uneven = (level**2 + self._of_events()).sum(0) + np.square(model.sum(0)) - (model**2).sum(0)
-        unsure = self.noise * self.used / self.degrees_of_freedom
-        sums = [self._summed(one) for one in (level.sum(0), uneven, unsure.sum(0))]
-        return self._least(sums[0], sums[1], sums[2], self.squares(left))
+        sums = [self._summed(one) for one in (level.sum(0), uneven)]
+        return self._least(sums[0], sums[1], self._unsure(self.noise * self.used), self.squares(left))
 
     def common_p_value(self, left: Floats) -> float:
         """The same of what the conditions have in common: each entry summed over those where it counts, two at least,
@@ -75,10 +77,23 @@ class ResidualTest:
         pattern = common * (left.reshape(self.used.shape) * self.used).sum(0) / np.sqrt(number)
         noise = common * self.noise * self.used / number
         model = common * np.square((np.sqrt(self.model) * self.used).sum(0)) / number
-        level, unsure = noise.sum(0) + model, (noise / self.degrees_of_freedom).sum(0)
+        level = noise.sum(0) + model
         uneven = level**2 + common * (self._of_events() / number**2).sum(0)
-        sums = [self._summed(one) for one in (level, uneven, unsure, pattern**2)]
-        return self._least(sums[0], sums[1], sums[2], sums[3])
+        sums = [self._summed(one) for one in (level, uneven, pattern**2)]
+        return self._least(sums[0], sums[1], self._unsure(noise), sums[2])
+
+    def _unsure(self, noise: Floats) -> Floats:
+        """``(G,)`` level of each group over its degrees of freedom.
+
+        The error of the noise is one in all bins and conditions of a scene, and another one in each scene.
+        """
+        scenes = np.broadcast_to(self.scene, len(noise))
+        level, found = self._summed(noise.sum(0)), np.zeros(self.groups)
+        for scene in np.unique(scenes):
+            own = scenes == scene
+            of_scene = self._summed(noise[own].sum(0))
+            found += of_scene * self._summed((noise / self.degrees_of_freedom)[own].sum(0))
+        return found / np.maximum(level, 1e-300)
 
     def _of_events(self) -> Floats:
         """``(C, P)`` half the variance of an entry's square by rare events, beyond that of a normal number."""
@@ -96,7 +111,7 @@ class ResidualTest:
         Args:
             level: ``(G,)`` their means.
             uneven: half the variances that they have about those.
-            unsure: the levels over the degrees of freedom with which they are known.
+            unsure: the levels over the degrees of freedom with which they are known (``_unsure``).
             squares: the sums.
         """
         some = level > 0
@@ -129,4 +144,7 @@ def residual_test(search: SimulatorLikelihood, base: Fit) -> ResidualTest:
         np.stack([getattr(base.base, field)[name] for name in names])
         for field in ("used", "expected", "event", "degrees_of_freedom", "model")
     )
-    return ResidualTest(places, used, np.maximum(expected, METHOD.least_level), event, degrees_of_freedom, known_to)
+    numbered = {one: place for place, one in enumerate(dict.fromkeys(one.condition.scene for one in search.measured))}
+    scene = np.array([numbered[target.condition.scene] for target in search.measured])
+    noise = np.maximum(expected, METHOD.least_level)
+    return ResidualTest(places, used, noise, event, degrees_of_freedom, known_to, scene)

@@ -162,11 +162,13 @@ class ElementNoise:
         scatter: condition to ``(P,)`` standard deviation of each entry; 0 where it tells nothing.
         correlation: ``(P, P)`` of the entries, common to the conditions.
         elements: condition to ``(P,)`` how many elements of a frame tell it; none where that is left out.
+        degrees_of_freedom: condition to ``(P,)``, with which that scatter is known; exactly where left out.
     """
 
     scatter: Mapping[str, Floats]
     correlation: Floats
     elements: Mapping[str, Floats] = field(default_factory=dict)
+    degrees_of_freedom: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -272,7 +274,7 @@ def simulated_distribution(
     """
     layout = next(iter(pools.values())).layout
     independent = {t.condition.id: pools[t.condition.id].independent_scatter(t.frames) for t in measured}
-    elements = {}
+    elements, least = {}, {}
     # Two frames about their mean differ alike in either order: the scatter of such squares is that of their law.
     of_squares = layout.each(
         lambda group: (
@@ -288,10 +290,12 @@ def simulated_distribution(
         alike = math.sqrt(squares_about_clear_mean(target.frames, target.clear_frames))
         # Where far more elements are seen than when their noise was looked at, in other weather, those tell it.
         more = _elements(pools[name], 1) > METHOD.more_elements * noise.elements.get(name, np.inf)
-        own = np.where(more, np.maximum(independent[name], noise.scatter[name]), noise.scatter[name] * grown)
+        of_few = pools[name].scatter_of_few(target.frames, METHOD.counting_prior_frames)
+        least[name] = np.where(more, np.maximum(independent[name], of_few), 0.0)
+        own = np.maximum(noise.scatter[name] * np.where(more, 1.0, grown), least[name])
         elements[name] = np.where(few, independent[name] * alike, own)
     sizes = {t.condition.id: MeasuredSize(t.frames, t.clear_frames, t.condition.time_s, t.misplaced) for t in measured}
-    found = calibrated_scatter(pools, sizes, elements, seed)
+    found = calibrated_scatter(pools, sizes, elements, seed, noise.degrees_of_freedom, least)
     sds, owns, totals, used, shared = {}, {}, {}, {}, {}
     for target in measured:
         name = target.condition.id
@@ -331,7 +335,7 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
     """
     size = next(iter(portioned.values())).layout.size
     total = np.zeros((size, size))
-    scatter = {}
+    scatter, known = {}, {}
     layout = next(iter(portioned.values())).layout
     about_own = layout.each(lambda group: group.statistic in layout.about_own_mean)
     averages = layout.averages & ~about_own
@@ -345,12 +349,29 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
         apart *= np.sqrt(layout.each(lambda group: layout.scatter_share.get(group.statistic, 1.0)))
         apart *= np.where(about_own, math.sqrt(squares_go_together(min(target.frames, clear), clear)), 1.0)
         scatter[name] = np.sqrt((apart**2).sum(1).mean(0))
+        independent = min(len(apart), clear) - 1
+        known[name] = _degrees_of_freedom((apart**2).mean(0), independent)
         unit = apart / np.where(scatter[name] > 0, scatter[name], 1.0)
         unit = np.where(target.enough, unit, 0.0).reshape(-1, size)
         total += unit.T @ unit / len(apart)
     spread = np.sqrt(np.diag(total))
     each = {target.condition.id: _elements(portioned[target.condition.id], portions) for target in measured}
-    return ElementNoise(scatter, total / np.maximum(np.outer(spread, spread), 1e-12), each)
+    return ElementNoise(scatter, total / np.maximum(np.outer(spread, spread), 1e-12), each, known)
+
+
+def _degrees_of_freedom(squares: Floats, independent: int) -> Floats:
+    """Degrees of freedom ``(P,)`` of a variance that is a sum of those of portions.
+
+    Of m independent frames a portion's variance q is known to 2 / m of its square, which is about ``q^2 m / (m + 2)``:
+    all together have ``(m + 2) (sum q)^2 / sum q^2`` (Satterthwaite 1946), few where few elements make the noise.
+
+    Args:
+        squares: ``(portions, P)`` q.
+        independent: m.
+    """
+    uneven = (squares**2).sum(0)
+    found = (independent + 2.0) * squares.sum(0) ** 2 / np.where(uneven > 0.0, uneven, 1.0)
+    return np.where(uneven > 0.0, found, np.inf)
 
 
 def _elements(pool: Pool, portions: int) -> Floats:

@@ -86,9 +86,10 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
     widening = math.sqrt(widened(degrees_of_freedom))
     one_frame = [FrameDeparture(widening * np.sqrt(share) * residual) for residual in residuals if share.any()]
     # A few frames do not tell how an even shift of all entries looks: it is known.
-    well_may_be = METHOD.well_may_be_sd * math.sqrt(2.0 / degrees_of_freedom)
+    few = degrees_of_freedom < METHOD.few_degrees
+    well_may_be = METHOD.well_may_be_sd * math.sqrt(2.0 / degrees_of_freedom) if few else 0.0
     for name, excess in evenly.items():
-        # A few frames that are alike by chance, to the noise of their elements, make no steady sensor.
+        # Two frames that are alike by chance, to the noise of their elements, make no steady sensor.
         variance = max(excess, well_may_be * noises[name])
         entries = layout.averages & (statistic == name)
         one_frame += [FrameDeparture(widening * math.sqrt(variance) * entries, name)] if variance > 0 else []

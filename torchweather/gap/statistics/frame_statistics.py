@@ -315,6 +315,31 @@ class Pool:
             found[part] = _independent_scatter(group.kind, weight[part], value[part], square[part])
         return found
 
+    def scatter_of_few(self, number: int, prior: float) -> Floats:
+        """Scatter ``(size,)`` of means of ``number`` frames whose elements are as different as all of their statistic,
+        as much as so many elements weigh; 0 of other entries.
+
+        The few elements of a bin may be one, seen again and again, and another one next time.
+
+        Args:
+            number: of frames.
+            prior: number of elements that the variance over all bins weighs.
+        """
+        weight, value, square = (getattr(self.frames, name).mean(0) * number for name in ("weight", "value", "square"))
+        found = np.zeros(self.layout.size)
+        start = 0
+        for group in self.layout.binned:
+            part = slice(start, start + group.bins)
+            start += group.bins
+            if group.kind == "mean":
+                some = np.maximum(weight[part], TINY)
+                whole = max(float(weight[part].sum()), TINY)
+                of_bin = np.maximum(square[part] / some - (value[part] / some) ** 2, 0.0)
+                of_all = max(float(square[part].sum()) / whole - (float(value[part].sum()) / whole) ** 2, 0.0)
+                variance = (weight[part] * of_bin + prior * of_all) / (weight[part] + prior)
+                found[part] = np.sqrt(variance / np.maximum(weight[part], 1.0))
+        return found
+
     def known_to(self, number: int, misplaced: float = 0.0) -> Floats:
         """Standard deviation ``(size,)`` to which a model of the sensor is known, however many frames there are.
 
