@@ -53,6 +53,25 @@ def test_departures_of_a_perfect_model_have_their_expected_square(kind: str, dra
     assert largest < 5.5**2  # of 1,600 entries; a first event is no miracle
 
 
+@pytest.mark.parametrize("rate", [0.5, 10.0])
+def test_a_variance_of_counts_has_the_degrees_of_freedom_that_it_says(rate: float) -> None:
+    """Over pools made anew it scatters by the root of 2 / v: two in 2,400 variances, 3 %."""
+    rng = np.random.default_rng(8)
+    layout = Layout((Group("events", "range_m", "count", EDGES),), (), (), ())
+    own, said = [], []
+    for seed in range(60):
+        weight, value = counts(rng, np.full(BINS, rate), POOL)
+        empty = np.zeros((POOL, 0))
+        pool = Pool(layout, Reduced(weight, value, value, empty, empty[..., None]), np.arange(POOL) % CLEAR)
+        size = {"rain": MeasuredSize(FRAMES, CLEAR)}
+        found = calibrated_scatter({"rain": pool}, size, {"rain": np.zeros(BINS)}, seed)["rain"]
+        own.append(found.own)
+        said.append(found.degrees_of_freedom)
+    scattered = 2.0 / np.var(np.concatenate(own) / np.mean(own))
+    # 256 draws make it a sixth less; of what only eight clear frames tell it says less than it knows.
+    assert 0.7 * np.mean(said) < scattered < 1.8 * np.mean(said)
+
+
 @pytest.mark.parametrize("mean", [0.03, 0.1, 0.3])
 def test_no_rare_count_departs_by_more_than_its_deviance(mean: float) -> None:
     """Several events in one bin, where simulated frames show none or are alike."""
@@ -69,6 +88,17 @@ def test_no_rare_count_departs_by_more_than_its_deviance(mean: float) -> None:
         deviance = 2.0 * (count * np.log(count / expected) - count + expected)
         # The root is not quite the root of the deviance: 12 % at most, up to eight events.
         assert departure < 1.12 * max(np.sqrt(deviance), METHOD.one_event_sd / 2.0)
+
+
+@pytest.mark.parametrize("least", [0.0, 0.3])
+def test_means_of_few_elements_are_no_surer_than_is_said(least: float) -> None:
+    """Simulated frames that are all alike: of what only an effect brings they are no measure."""
+    layout = Layout((Group("speed", "particle_range_m", "mean", EDGES),), (), (), ())
+    weight, empty = np.ones((POOL, BINS)), np.zeros((POOL, 0))
+    pool = Pool(layout, Reduced(weight, weight, weight, empty, empty[..., None]), np.arange(POOL) % CLEAR)
+    size, nothing = {"fog": MeasuredSize(FRAMES, CLEAR)}, {"fog": np.zeros(BINS)}
+    found = calibrated_scatter({"fog": pool}, size, nothing, 0, None, {"fog": np.full(BINS, least)})["fog"]
+    np.testing.assert_allclose(np.sqrt(found.own), least, atol=1e-9)
 
 
 def test_what_the_clear_frames_do_not_tell_is_in_the_scatter() -> None:

@@ -17,6 +17,7 @@ from torchweather.gap.inference.simulated_distribution import (
     Observation,
     SimulatedDistribution,
     Whitening,
+    _degrees_of_freedom,
     element_noise,
     observations,
     simulated_distribution,
@@ -172,6 +173,16 @@ def test_bins_that_other_weather_fills_have_the_noise_of_their_own_elements(
     noise = ElementNoise({name: np.full(BINS, 0.01)}, np.eye(BINS), {name: np.full(BINS, before)})
     found = simulated_distribution({name: alike}, [aim], noise, None, 0)
     np.testing.assert_allclose(found.sd[name], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("few", [4, 64])
+@pytest.mark.parametrize("independent", [1, 7])
+def test_a_sum_of_variances_has_degrees_of_freedom_as_drawn(few: int, independent: int) -> None:
+    """Portions of which a few make most of the noise; each is seen in so many independent frames."""
+    sd = np.where(np.arange(64) < few, 1.0, 0.1)
+    squares = (sd[:, None] ** 2) * RNG(12).chisquare(independent, (64, 4000)) / independent
+    drawn = 2.0 / np.var(squares.sum(0) / squares.sum(0).mean())
+    assert np.median(_degrees_of_freedom(squares, independent)) == pytest.approx(drawn, rel=0.4)
 
 
 @pytest.mark.parametrize("clear", [2, MANY])

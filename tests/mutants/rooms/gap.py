@@ -13,6 +13,7 @@ CAMERA_FRAMES = "tests/gap/sensors/camera/test_camera_frames.py"
 
 OF_SCENE = "tests/gap/sensors/lidar/test_lidar_scene.py"
 DISTRIBUTION = "tests/gap/inference/test_simulated_distribution.py"
+CALIBRATED = "tests/gap/inference/test_calibrated_scatter.py"
 LIDAR_SCENE = "torchweather.gap.sensors.lidar.scene"
 
 MUTANTS = (
@@ -89,6 +90,46 @@ MUTANTS = (
         "for sign in (-1.0, 1.0):",
         "for sign in ():",
         ("tests/gap/inference/test_likelihood.py::test_a_record_that_is_far_off_is_first_looked_for_on_a_grid",),
+    ),
+    Mutant(
+        "half_the_degrees_of_freedom_of_counts",
+        "a variance that is known to the relative variance v has 2 / v degrees of freedom",
+        "torchweather.gap.inference.calibrated_scatter",
+        "degrees_of_freedom[part] = 2.0 * (known + prior)",
+        "degrees_of_freedom[part] = 0.5 * (known + prior)",
+        (f"{CALIBRATED}::test_a_variance_of_counts_has_the_degrees_of_freedom_that_it_says",),
+    ),
+    Mutant(
+        "scenes_with_one_error_of_their_noise",
+        "each scene has clear frames, and so an error of its noise, of its own",
+        "torchweather.gap.inference.degrees_of_freedom",
+        "numbered[scene] * self.statistics + own for",
+        "0 * numbered[scene] + own for",
+        ("tests/gap/inference/test_degrees_of_freedom.py::test_scenes_have_clear_frames_of_their_own",),
+    ),
+    Mutant(
+        "groups_with_one_error_of_all_scenes",
+        "squares of a statistic know the noise of each scene by itself",
+        RESIDUAL,
+        "own = scenes == scene",
+        "own = scenes >= scene",
+        ("tests/gap/inference/test_residual_tests.py::test_each_scene_has_an_error_of_its_noise",),
+    ),
+    Mutant(
+        "noise_of_few_elements_known_exactly",
+        "noise that few elements make is no sure measure",
+        "torchweather.gap.inference.simulated_distribution",
+        "np.where(uneven > 0.0, found, np.inf)",
+        "np.where(uneven > 0.0, np.inf, np.inf)",
+        (f"{DISTRIBUTION}::test_a_sum_of_variances_has_degrees_of_freedom_as_drawn",),
+    ),
+    Mutant(
+        "few_elements_that_never_differ",
+        "means of few elements that only an effect brings are no surer than elements differ",
+        "torchweather.gap.inference.calibrated_scatter",
+        'by_law.least[part] ** 2 if group.kind == "mean" else 0.0',
+        "0.0",
+        (f"{CALIBRATED}::test_means_of_few_elements_are_no_surer_than_is_said",),
     ),
     Mutant(
         "maps_of_fog_known_exactly",

@@ -363,14 +363,14 @@ def _degrees_of_freedom(squares: Floats, independent: int) -> Floats:
     """Degrees of freedom ``(P,)`` of a variance that is a sum of those of portions.
 
     Of m independent frames a portion's variance q is known to 2 / m of its square, which is about ``q^2 m / (m + 2)``:
-    all together have ``(m + 2) (sum q)^2 / sum q^2`` (Satterthwaite 1946), few where few elements make the noise.
+    all together have ``(m + 2) (sum q)^2 / sum q^2 - 2`` (Satterthwaite 1946; m where one portion makes all of it).
 
     Args:
         squares: ``(portions, P)`` q.
         independent: m.
     """
     uneven = (squares**2).sum(0)
-    found = (independent + 2.0) * squares.sum(0) ** 2 / np.where(uneven > 0.0, uneven, 1.0)
+    found = (independent + 2.0) * squares.sum(0) ** 2 / np.where(uneven > 0.0, uneven, 1.0) - 2.0
     return np.where(uneven > 0.0, found, np.inf)
 
 
