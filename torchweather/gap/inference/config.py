@@ -121,9 +121,8 @@ class InferenceConfig:
     persistence_rel_error: float = 0.01  # of a persistent pattern of dense weather
     linear_step: float = 1e-4  # of a departure, within which entries are linear
     weather_mean_rel_error: float = 0.005  # of the change of a mean by weather: two codes of one physics differ so
-    few_degrees: int = (
-        4  # of freedom of whole frames, below which frames that are alike by chance make no steady sensor
-    )
+    # Degrees of freedom of whole frames, below which frames that are alike by chance make no steady sensor.
+    few_degrees: int = 4
     frame_noise_p: float = 1e-4  # probability that the noise of whole frames exceeds its stated bound: below alarm_p
 
     # ---- Formulas of a departure over an axis ----
