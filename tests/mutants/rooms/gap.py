@@ -132,6 +132,14 @@ MUTANTS = (
         (f"{CALIBRATED}::test_means_of_few_elements_are_no_surer_than_is_said",),
     ),
     Mutant(
+        "second_paths_of_two_delays",
+        "a second path of a radar is looked for in each octave of its delay",
+        "torchweather.gap.sensors.radar.forms",
+        '{"delay_m": (1.1, 2.3, 4.5, 9.0, 18.0)}',
+        '{"delay_m": (5.0, 15.0)}',
+        ("tests/gap/sensors/radar/test_radar_frames.py::test_second_paths_are_tried_in_each_octave_of_their_delay",),
+    ),
+    Mutant(
         "maps_of_fog_known_exactly",
         "particles that a model misplaces move what stays in its place",
         "torchweather.gap.statistics.frame_statistics",

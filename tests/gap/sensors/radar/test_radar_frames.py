@@ -17,9 +17,9 @@ from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.gap_report import GapReport
-from torchweather.gap.inference.effect_forms import is_another
+from torchweather.gap.inference.effect_forms import is_another, tried_values
 from torchweather.gap.sensors.radar.fading import FADING_SPREAD_DB, chance_of_fading, shares_by_class
-from torchweather.gap.sensors.radar.forms import MOST_STRUCK, wet_rcs_form
+from torchweather.gap.sensors.radar.forms import MOST_STRUCK, multipath_form, wet_rcs_form
 from torchweather.gap.sensors.radar.frames import GHOST_STEP, RadarFrames
 from torchweather.gap.sensors.radar.scene import (
     FLICKERS,
@@ -35,6 +35,7 @@ from torchweather.gap.sensors.radar.scene import (
 from torchweather.gap.sensors.radar.sums import (
     FLOOR_STEPS_DB,
     FLOOR_WEIGHT,
+    GHOST_DELAY_M,
     SAME_DIRECTION_RAD,
     SAME_SPEED_M_PER_S,
     _at_one_delay,
@@ -734,3 +735,14 @@ def test_conditions_that_lost_everything_are_answered() -> None:
     lossy = Study.from_arrays(sensor=SENSOR, scenes=[scene], conditions=conditions)
     assert find_gap(lossy, effects=["radar.wet_radome", "radar.path_loss_scale"]).verdict != "none"
     assert detections_of(gone).clutter.shape[1] == 5
+
+
+def test_second_paths_are_tried_in_each_octave_of_their_delay() -> None:
+    """Ghosts are counted in octaves of their delay: no derivative leads from one to the next."""
+    tried = tried_values(multipath_form(0.01), "delay_m")
+    octaves = np.digitize(tried, GHOST_DELAY_M)
+    assert list(np.diff(octaves)) == [1] * (len(tried) - 1)
+    for one, octave in zip(tried, octaves, strict=True):
+        assert one == pytest.approx(math.sqrt(GHOST_DELAY_M[octave - 1] * GHOST_DELAY_M[octave]), rel=0.03)
+    assert tried[0] < 1.6
+    assert tried[-1] > 12.8
