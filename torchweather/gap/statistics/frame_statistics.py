@@ -327,10 +327,7 @@ class Pool:
         """
         weight, value, square = (getattr(self.frames, name).mean(0) * number for name in ("weight", "value", "square"))
         found = np.zeros(self.layout.size)
-        start = 0
-        for group in self.layout.binned:
-            part = slice(start, start + group.bins)
-            start += group.bins
+        for group, part in zip(self.layout.binned, self.layout.slices, strict=False):
             if group.kind == "mean":
                 some = np.maximum(weight[part], TINY)
                 whole = max(float(weight[part].sum()), TINY)
