@@ -498,7 +498,7 @@ MUTANTS = (
         "spread_by_few_clear_frames_alone",
         "the noise of elements tells of a spread what few clear frames do not",
         "torchweather.gap.inference.calibrated_scatter",
-        "prior = np.where(law > TINY**2, by_law.degrees_of_freedom, 0.0)",
+        "prior = np.where(law > TINY**2, of_spread.degrees_of_freedom, 0.0)",
         "prior = np.where(law > TINY**2, 0.0, 0.0)",
         ("tests/gap/inference/test_calibrated_scatter.py::test_few_clear_frames_do_not_make_a_spread_sure",),
     ),
