@@ -9,11 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.candidate_fits import PROFILE_ROUNDS, _least, _profiled_along, _refined
+from torchweather.gap.inference.candidate_fits import (
+    FAR,
+    PROFILE_ROUNDS,
+    _least,
+    _profiled_along,
+    _refined,
+    from_rest,
+)
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.likelihood import ParameterPoint
 from torchweather.gap.inference.response_templates import ResponseTemplate
-from torchweather.gap.inference.starting_points import parameter_grids
+from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
+from torchweather.gap.inference.systematics import Bounds, Systematics
 from torchweather.lidar.effects.all import EFFECTS
 
 BASE: Any = SimpleNamespace(note="the fit without effects")
@@ -93,3 +101,19 @@ def test_a_fit_is_taken_up_with_the_scatter_where_it_stands(misfits: list[float]
     start: Any = SimpleNamespace(point="point 0", base="base 0", misfit=100.0)
     assert _refined(search, start).misfit == best
     assert asked == [f"point {number}" for number in range(rounds)]
+
+
+@pytest.mark.parametrize(("farthest", "amplitude"), [(4.0, 1.0 - FAR / 8.0), (1.0, 1.0 - 1.0 / 8.0)])
+def test_from_rest_nothing_stands_farther_than_it_may_and_by_no_more_than_two_of_its_units(
+    farthest: float, amplitude: float
+) -> None:
+    """What departs is eight units of a gain that costs nothing, and looks like a window: that stands for the rest."""
+    gain, pattern = np.ones(10), np.tile([0.5, -0.5], 5)
+    nuisance = Systematics(gain[:, None], np.array([3.9]), 1, np.array([[1e-9]]))
+    bounds = Bounds(np.array([-farthest]), np.array([farthest]))
+    search: Any = SimpleNamespace(bounds=lambda own: bounds if own is nuisance else None, measured=[])
+    base: Any = SimpleNamespace(nuisance=nuisance, residual=8.0 * gain - 3.9 * gain)
+    grid = ParameterGrid(EFFECTS["lidar.window_loss"], ({"loss_db": 1.0},))
+    (found,) = from_rest(search, base, [ResponseTemplate(grid, 0, grid.points[0], 8.0 * gain + pattern)])
+    assert found[0].id == "lidar.window_loss"
+    assert found[1] == pytest.approx(amplitude, abs=0.01)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
 from torchweather.gap.inference.config import METHOD
-from torchweather.gap.inference.effect_sets import best_effect_pairs
+from torchweather.gap.inference.effect_sets import best_effect_pairs, best_single_effects
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.gap.inference.systematics import Bounds, Systematics
@@ -68,3 +69,21 @@ def test_pairs_are_of_different_effects_each_once_best_first_and_better_than_one
     assert gains[0] == pytest.approx(max(gain(*pair) for pair in itertools.combinations(range(4), 2)))
     least = gains[0] - alone + 1e-6
     assert best_effect_pairs(templates(responses), residual, nuisance, bounds, least) == []
+
+
+@pytest.mark.parametrize(("bound", "best"), [(2.0, NAMES[0]), (np.inf, NAMES[1])])
+def test_what_a_nuisance_has_gone_far_to_stand_for_is_told_with_the_nuisance_near(bound: float, best: str) -> None:
+    """The first effect is hidden, in two entries twice as strong as its response. A gain ten of its units off looks as
+    it does in the others, another effect as in those two."""
+    responses = np.zeros((3, 20))
+    responses[0], responses[1, :2], responses[2, 2:4] = 1.0, 1.0, 0.1
+    response = np.r_[np.full(2, 0.02), np.full(18, 0.1)][:, None]
+    nuisance = Systematics(response, np.array([9.0]), 1, np.array([[1e-4]]))
+    residual = responses[0] + responses[1] - 9.0 * response[:, 0]
+    some = templates(responses) + [replace(one, number=1, response=0.5 * one.response) for one in templates(responses)]
+    found = best_single_effects(some, residual, nuisance, Bounds(np.array([-bound]), np.array([bound])))
+    names = [one.templates[0].id for one in found]
+    assert names[0] == best
+    assert sorted(names) == sorted(NAMES[:3])
+    gains = [one.gain for one in found]
+    assert gains == sorted(gains, reverse=True)

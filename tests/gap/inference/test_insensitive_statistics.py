@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from torchweather.gap.inference.config import METHOD
-from torchweather.gap.inference.insensitive_statistics import fresh_delta_chi2, insensitive_statistics
+from torchweather.gap.inference.insensitive_statistics import (
+    FRESH_SHARE,
+    fresh_delta_chi2,
+    gained_elsewhere,
+    insensitive_statistics,
+    shown_elsewhere,
+)
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.gap.inference.systematics import Systematics
@@ -85,3 +91,32 @@ def test_what_a_nuisance_took_from_a_residual_is_taken_from_the_response() -> No
     assert fresh_delta_chi2([template], left, clock, np.ones(2, bool)) == pytest.approx(
         {"lidar.range_bias": 8.0}, rel=1e-3
     )
+
+
+@pytest.mark.parametrize(
+    ("total", "elsewhere", "shown"),
+    [
+        (40.0, 30.0, True),
+        (40.0, 19.0, False),  # less than noise may gain there
+        (30.0 / FRESH_SHARE - 1.0, 30.0, True),
+        (30.0 / FRESH_SHARE + 1.0, 30.0, False),  # nearly all of its gain is where the first effect acts
+    ],
+)
+def test_an_effect_shows_elsewhere_if_no_small_share_of_its_gain_lies_there(
+    total: float, elsewhere: float, shown: bool
+) -> None:
+    """The larger one of the gains of its templates counts."""
+    grid = ParameterGrid(EFFECTS["lidar.range_noise"], ({"std_m": 0.1}, {"std_m": 0.2}))
+    templates = [ResponseTemplate(grid, place, grid.points[place], np.zeros(1)) for place in range(2)]
+    found = shown_elsewhere(templates, np.array([total, 1.0]), {"lidar.range_noise": elsewhere}, 20.0)
+    assert found == (["lidar.range_noise"] if shown else [])
+
+
+def test_what_another_fit_gains_elsewhere_is_of_entries_that_the_first_leaves_as_they_were() -> None:
+    """A first effect moves the ratios, of either axis: what is gained in the other two entries counts."""
+    first = fit([0.0, 0.0, 0.0, 0.0, 99.0])
+    nuisance = Systematics(np.zeros((10, 1)), np.zeros(1), 0)
+    residual = np.array([1.0, 2.0, 3.0, 1.0, 5.0] * 2)
+    before = SimpleNamespace(base=first.base, nuisance=nuisance, residual=residual)
+    after = SimpleNamespace(base=first.base, nuisance=nuisance, residual=np.array([0.0, 0.0, 1.0, 0.0, 0.0] * 2))
+    assert gained_elsewhere(search([True] * 5), before, after) == pytest.approx(2.0 * (9.0 - 1.0 + 1.0), rel=1e-12)

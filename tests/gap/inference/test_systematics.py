@@ -10,7 +10,7 @@ import pytest
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.response_templates import ResponseTemplate, amplitudes, delta_chi2, pair_delta_chi2
 from torchweather.gap.inference.starting_points import ParameterGrid
-from torchweather.gap.inference.systematics import Bounds, Systematics, bounded_step, together
+from torchweather.gap.inference.systematics import Bounds, Systematics, bounded_step, moving_only, together
 from torchweather.lidar.effects.all import EFFECTS
 
 RNG = np.random.default_rng
@@ -252,3 +252,26 @@ def test_a_step_within_wide_bounds_is_that_of_the_normal_equations(ridge: float)
     assert found.amplitudes == pytest.approx(expected, rel=1e-6)
     assert found.aside == pytest.approx(nuisance.step(residual - columns @ expected), rel=1e-6)
     assert found.misfit == pytest.approx(nuisance.misfit(residual - columns @ expected), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_without_nuisances_that_do_not_move_a_step_leaves_the_same(seed: int) -> None:
+    """Three that move between bounds, two of them together, and four that do not, one with its own prior; any column
+    and any two."""
+    generator = RNG(seed)
+    precision = together(7, 2)
+    precision[5, 5] = 0.3
+    offset = np.concatenate([generator.normal(size=6), [0.7]])
+    nuisance = Systematics(generator.normal(size=(40, 7)), offset, 3, precision)
+    columns, residual = generator.normal(size=(40, 4)), 2.0 * generator.normal(size=40)
+    bounds = Bounds(np.r_[np.full(3, -0.5), np.full(4, -np.inf)], np.r_[np.full(3, 0.4), np.full(4, np.inf)])
+    left, moving, few = moving_only(residual, nuisance, columns)
+    assert few.shape == (8, 4)
+    near = Bounds(bounds.low[:3], bounds.high[:3])
+    for places in ([], [0], [2], [1, 3]):
+        limits = Bounds(np.zeros(len(places)), np.full(len(places), 1.35))
+        whole = bounded_step(residual, nuisance, bounds, columns[:, places], limits)
+        found = bounded_step(left, moving, near, few[:, places], limits)
+        assert found.misfit == pytest.approx(whole.misfit, rel=1e-9)
+        assert found.amplitudes == pytest.approx(whole.amplitudes, abs=1e-6)
+        assert found.aside == pytest.approx(whole.aside[:3], abs=1e-6)

@@ -568,4 +568,38 @@ MUTANTS = (
         "return found",
         ("tests/gap/inference/test_likelihood.py::test_the_order_in_which_conditions_are_done_changes_nothing",),
     ),
+    Mutant(
+        "priors_of_what_does_not_move_forgotten",
+        "without the nuisances that do not move a step leaves the same misfit",
+        "torchweather.gap.inference.systematics",
+        "stay[:, -1] = -prior @ nuisance.offset[moving:]",
+        "stay[:, -1] = 0.0",
+        (("tests/gap/inference/test_systematics.py::test_without_nuisances_that_do_not_move_a_step_leaves_the_same"),),
+    ),
+    Mutant(
+        "from_rest_with_nuisances_far_off",
+        "where what is open has gone far, effects are compared with it near",
+        "torchweather.gap.inference.candidate_fits",
+        "low[opened], high[opened] = np.clip(low[opened], -FAR, FAR), np.clip(high[opened], -FAR, FAR)",
+        "pass",
+        (
+            (
+                "tests/gap/inference/test_candidate_fits.py::"
+                "test_from_rest_nothing_stands_farther_than_it_may_and_by_no_more_than_two_of_its_units"
+            ),
+        ),
+    ),
+    Mutant(
+        "a_small_share_elsewhere_speaks_for_an_effect",
+        "an effect shows where the first does nothing by no small share of its gain",
+        "torchweather.gap.inference.insensitive_statistics",
+        "if value > max(least, FRESH_SHARE * total[name])",
+        "if value > least",
+        (
+            (
+                "tests/gap/inference/test_insensitive_statistics.py::"
+                "test_an_effect_shows_elsewhere_if_no_small_share_of_its_gain_lies_there"
+            ),
+        ),
+    ),
 )

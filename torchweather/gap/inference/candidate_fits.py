@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import is_another
-from torchweather.gap.inference.effect_sets import best_effect_pairs
+from torchweather.gap.inference.effect_sets import best_effect_pairs, best_single_effects
 from torchweather.gap.inference.held_out import HeldOut
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.location_search import located
 from torchweather.gap.inference.response_templates import ResponseTemplate, amplitudes, delta_chi2
 from torchweather.gap.inference.starting_points import parameter_grids
-from torchweather.gap.inference.systematics import Systematics
+from torchweather.gap.inference.systematics import Bounds, Systematics
 
 __all__ = [
     "CLOSE",
@@ -31,6 +31,7 @@ __all__ = [
     "best_of_each_set",
     "best_templates",
     "fitted",
+    "from_rest",
     "hidden_templates",
     "pairs_from_rest",
     "scattering",
@@ -134,6 +135,30 @@ def best_of_each_set(candidates: Sequence[Candidate]) -> list[Candidate]:
     for one in sorted(candidates, key=lambda one: one.fit.misfit):
         found.setdefault(frozenset(one.fit.point.values), one)
     return list(found.values())
+
+
+def from_rest(
+    search: SimulatorLikelihood, fit: Fit, templates: Sequence[ResponseTemplate]
+) -> list[tuple[ResponseTemplate, float, float]]:
+    """The best template of each effect on top of a fit, with what the model leaves open near where it belongs.
+
+    Where that has gone far to stand for an effect, the effect's response explains little of what is left, and that of
+    another which patches the rest explains more.
+
+    Args:
+        search: its simulator.
+        fit: that something open has gone far in.
+        templates: responses around it.
+
+    Returns:
+        Templates with their amplitudes and gains, best first: those that gain a good share of what the best one does.
+    """
+    bounds, opened = search.bounds(fit.nuisance), slice(len(search.measured), fit.nuisance.moving)
+    low, high = bounds.low.copy(), bounds.high.copy()
+    low[opened], high[opened] = np.clip(low[opened], -FAR, FAR), np.clip(high[opened], -FAR, FAR)
+    best = best_single_effects(templates, fit.residual, fit.nuisance, Bounds(low, high))
+    worth = [one for one in best if one.gain >= METHOD.refit_share * best[0].gain]
+    return [(one.templates[0], one.amplitudes[0], one.gain) for one in worth]
 
 
 def pairs_from_rest(

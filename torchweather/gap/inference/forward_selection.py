@@ -29,6 +29,7 @@ from torchweather.gap.inference.candidate_fits import (
     best_of_each_set,
     best_templates,
     fitted,
+    from_rest,
     hidden_templates,
     pairs_from_rest,
     scattering,
@@ -40,7 +41,13 @@ from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.global_test import GlobalTest, counted_entries, located_templates, run_global_test
 from torchweather.gap.inference.held_out import HeldOut, held_out
-from torchweather.gap.inference.insensitive_statistics import fresh_delta_chi2, insensitive_statistics
+from torchweather.gap.inference.insensitive_statistics import (
+    FRESH_SHARE,
+    fresh_delta_chi2,
+    gained_elsewhere,
+    insensitive_statistics,
+    shown_elsewhere,
+)
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.model_error import explained_beside, response_of
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
@@ -52,7 +59,7 @@ __all__ = ["GapResult", "find_gap_with"]
 Floats = NDArray[np.float64]
 
 # Candidates that are fitted: alone, on top of others, and such as what is left open may stand for.
-REFITTED, ADDED_REFITTED, HIDDEN_REFITTED = 4, 2, 1
+REFITTED, ADDED_REFITTED, HIDDEN_REFITTED, REST_REFITTED = 4, 2, 1, 5
 # Of what is explained where an added effect acts, that it must add (``model_error.py``); and of the residual misfit,
 # unless it adds so much of all that is explained: what another form of the first effect leaves is patched by many.
 ADDED_SHARE, ADDED_SHARE_SURE, OF_THE_RESIDUAL = 0.03, 0.1, 0.6
@@ -171,7 +178,12 @@ def _singles(
     promised = {template.id for template, _ in best}
     if stands_far(base.point):
         hidden = hidden_templates(global_test.templates, nuisance, slice(len(search.measured), nuisance.moving))
-        best = [*(one for one in hidden[:HIDDEN_REFITTED] if one[0].id not in promised), *best][:number]
+        hidden = [one for one in hidden[:HIDDEN_REFITTED] if one[0].id not in promised]
+        rest = [(template, size) for template, size, _ in from_rest(search, base, global_test.templates)]
+        rest = rest[:REST_REFITTED]
+        others = [one for one in (*hidden, *best) if one[0].id not in {template.id for template, _ in rest}]
+        best = [*rest, *others][: max(number, len(rest) + 1)]
+        promised |= {template.id for template, _ in rest}
     best += unscaled_templates(global_test.templates, best, nuisance.left(base.residual), nuisance)
     found = fitted(
         search,
@@ -230,6 +242,9 @@ def _rounds(
                 # Responses are compared with responses: a single that was fitted may have bent a nuisance to its end.
                 pairs = pairs_from_rest(search, base, best.fit, templates, threshold)
         fresh, proposed = _on_top(search, remaining, best, least, threshold, sure)
+        if remaining and stands_far(best.fit.point):
+            hidden = from_rest(search, best.fit, remaining)[:REST_REFITTED]
+            pairs += [(best.fit.point, template, size) for template, size, gain in hidden if gain >= threshold]
         if pairs:
             proposed = [*(proposed or _best_on_top(best, remaining)), *pairs]
         if not proposed:
@@ -240,7 +255,12 @@ def _rounds(
             # What lies far behind one that earned its place is no rival of it.
             if kept and one.fit.misfit > kept[0].fit.misfit + CLOSE:
                 break
-            if _earns(search, best, one, fresh.get(one.id, math.inf), least):
+            own = fresh.get(one.id, math.inf)
+            if own < sure and gained_elsewhere(search, best.fit, one.fit) < FRESH_SHARE * one.gain:
+                own = sure  # fitted, it does something else than show where those found do nothing
+            # Another form of an effect than the stage's looks like what it is confused with, also beside it.
+            like = significant and any(_confusable(one.id, name) for name in values)
+            if _earns(search, best, one, own, max(least, excess) if like else least):
                 kept.append(one)
         if not kept:
             return rounds
@@ -348,7 +368,7 @@ def _on_top(
     gain = delta_chi2(remaining, left[None], nuisance)[0]
     elsewhere = fresh_delta_chi2(remaining, left, nuisance, insensitive_statistics(search, best.fit))
     fresh = {template.id: most for template, value in zip(remaining, gain, strict=True) if value > most}
-    fresh |= {name: sure for name, value in elsewhere.items() if value > sure}
+    fresh |= dict.fromkeys(shown_elsewhere(remaining, gain, elsewhere, sure), sure)
     # Another form of an effect than the stage's looks like what it is confused with.
     found = best.fit.point.values
     fresh = {name: value for name, value in fresh.items() if not any(_confusable(name, one) for one in found)}

@@ -9,7 +9,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,13 @@ from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
 from torchweather.gap.inference.systematics import Systematics
 
-__all__ = ["fresh_delta_chi2", "insensitive_statistics"]
+__all__ = ["FRESH_SHARE", "fresh_delta_chi2", "gained_elsewhere", "insensitive_statistics", "shown_elsewhere"]
 
 Floats = NDArray[np.float64]
+
+# Of what an added effect gains, that must lie where those found do nothing: of one that patches another form of the
+# first effect, little does.
+FRESH_SHARE = 0.25
 
 
 def insensitive_statistics(search: SimulatorLikelihood, fit: Fit) -> NDArray[np.bool_]:
@@ -51,3 +55,28 @@ def fresh_delta_chi2(
     for template, gain in zip(templates, delta_chi2(masked, (left * entries)[None], nothing)[0], strict=True):
         found[template.id] = max(found.get(template.id, 0.0), float(gain))
     return found
+
+
+def shown_elsewhere(
+    templates: Sequence[ResponseTemplate], gain: Floats, elsewhere: Mapping[str, float], least: float
+) -> list[str]:
+    """Effects that show where those found do nothing: by some gain there, and by no small share of what they gain.
+
+    Args:
+        templates: responses to effects that were not found yet.
+        gain: ``(templates,)`` of each, of all entries.
+        elsewhere: of each effect, its gain where those found do nothing.
+        least: that this must be.
+    """
+    total = dict.fromkeys((template.id for template in templates), 0.0)
+    for template, value in zip(templates, gain, strict=True):
+        total[template.id] = max(total[template.id], float(value))
+    return [name for name, value in elsewhere.items() if value > max(least, FRESH_SHARE * total[name])]
+
+
+def gained_elsewhere(search: SimulatorLikelihood, fit: Fit, more: Fit) -> float:
+    """Decrease of the squares that are left, by a fit with one effect more, in statistics that the first leaves as they
+    were."""
+    entries = insensitive_statistics(search, fit)
+    before, after = (np.square(one.nuisance.left(one.residual)[entries]).sum() for one in (fit, more))
+    return float(before - after)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-__all__ = ["BoundedStep", "Bounds", "Systematics", "bounded_step", "together"]
+__all__ = ["BoundedStep", "Bounds", "Systematics", "bounded_step", "moving_only", "together"]
 
 Floats = NDArray[np.float64]
 
@@ -145,6 +145,33 @@ def bounded_step(
     wanted = orthogonal.T @ np.concatenate([target, np.zeros(number)])
     found = lsq_linear(upper, wanted, (low, np.maximum(high, low + 1e-12)), method="bvls").x / scale
     return BoundedStep(found[:number], found[number:], float(((target - matrix @ found) ** 2).sum()))
+
+
+def moving_only(residual: Floats, nuisance: Systematics, columns: Floats) -> tuple[Floats, Systematics, Floats]:
+    """The same question without the nuisances that no simulator moves, in as few rows as there are columns.
+
+    Whatever explains a residual and whatever step the moving ones take, the others are at their best beside it: with
+    ``[G_f, Z] = Q R`` the square that is left of ``Z`` is that of the lower right block of R.
+
+    Args:
+        residual: ``(C P,)``.
+        nuisance: K of them.
+        columns: ``(C P, M)``, all that may explain the residual.
+
+    Returns:
+        Residual ``(M + K' + 1,)``, the K' nuisances that move, and columns ``(M + K' + 1, M)``. With any of them
+        ``bounded_step`` leaves the same misfit as with the whole.
+    """
+    moving, number = nuisance.moving, columns.shape[1]
+    fixed = nuisance.response[:, moving:]
+    prior = np.linalg.cholesky(nuisance.precision[moving:, moving:]).T
+    stay = np.zeros((len(prior), number + moving + 1))
+    stay[:, -1] = -prior @ nuisance.offset[moving:]
+    wanted = np.concatenate([columns, nuisance.response[:, :moving], residual[:, None]], 1)
+    upper = np.linalg.qr(np.block([[fixed, wanted], [prior, stay]]), mode="r")
+    left: Floats = np.asarray(upper, dtype=np.float64)[len(prior) :, len(prior) :]
+    reduced = Systematics(left[:, number:-1], nuisance.offset[:moving], moving, nuisance.precision[:moving, :moving])
+    return left[:, -1], reduced, left[:, :number]
 
 
 def together(number: int, some: int) -> Floats:

@@ -20,6 +20,7 @@ from .detectability import KINDS
 from .effects import CATALOGUE
 from .known import Known
 from .lidar_shot import Effect
+from .measured_forms import MEASURED, MEASURED_NULLS
 from .other_metrics import other_metrics
 from .outside import OUTSIDE
 from .streets import LEVELS, Street, street
@@ -114,6 +115,15 @@ def _decoys(seed: int) -> Iterator[Row]:
         yield WEATHERS[(number + number // len(DECOYS) + seed) % 3], (), (), None, {"decoy": name}
 
 
+def _measured(seed: int) -> Iterator[Row]:
+    """Forms that were measured, in snow, each at every level; and twice what clear frames have as well."""
+    for level in LEVELS:
+        for name in MEASURED:
+            yield "snow", (name,), (level,), None, {}
+    for number, name in enumerate((*MEASURED_NULLS, *MEASURED_NULLS)):
+        yield WEATHERS[(number + seed) % 3], (), (), None, {"decoy": name}
+
+
 def _moving(seed: int) -> Iterator[Row]:
     """Spray of a vehicle that drives at another speed in each condition."""
     for weather in WEATHERS:
@@ -140,6 +150,7 @@ GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {
     "outside": _outside,
     "decoys": _decoys,
     "moving": _moving,
+    "measured": _measured,
     "screen": lambda seed: screen_rows(WEATHERS, Size().smaller_grid()),
     "reduced": _reduced,
 }
@@ -162,10 +173,10 @@ def build(case: Case, streets: Streets) -> tuple[Study, dict[str, Any]]:
         effects.append(effect)
         truth["effects"].append(_effect_truth(place, name, level, effect.parameters))
     if "decoy" in case.options:
-        decoy = DECOYS[case.options["decoy"]](design, place.parameters, rng)
+        decoy = {**DECOYS, **MEASURED_NULLS}[case.options["decoy"]](design, place.parameters, rng)
         truth["right"] = {"verdicts": decoy.verdicts, "names": decoy.names}
         study = study_of(
-            design,
+            replace(design, views=decoy.clear_views or design.views),
             decoy.effects,
             rng,
             clear_effects=decoy.clear_effects,

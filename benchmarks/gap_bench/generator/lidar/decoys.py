@@ -28,6 +28,7 @@ class Decoy:
         effects, clear_effects: in the weather frames and in the clear ones.
         acts: whether the effects act in a condition.
         views: what the weather frames see; ``None`` is what the clear frames see.
+        clear_views: what the clear frames see; ``None`` is what the design says.
         repeated: the first frame stands for all; then refusing the study is right too.
     """
 
@@ -37,6 +38,7 @@ class Decoy:
     clear_effects: tuple[Effect, ...] = ()
     acts: Callable[[Condition], bool] = field(default=lambda condition: True)
     views: tuple[View, ...] | None = None
+    clear_views: tuple[View, ...] | None = None
     repeated: bool = False
 
 

@@ -21,12 +21,13 @@ from .effects import CATALOGUE
 from .known import Known
 from .lidar_sensor import SCALE_SPREAD, shoot
 from .lidar_shot import Effect, View, Weather
+from .measured_forms import MEASURED
 from .outside import OUTSIDE
 from .scene import FloatArray
 
 __all__ = ["IDENTIFIABLE_BELOW", "KINDS", "STRENGTHS", "Curve", "Detector", "brighter", "independent"]
 
-KINDS: dict[str, type[Known]] = {**CATALOGUE, **OUTSIDE}
+KINDS: dict[str, type[Known]] = {**CATALOGUE, **OUTSIDE, **MEASURED}
 IDENTIFIABLE_BELOW = 0.95
 STRENGTHS = tuple(float(value) for value in np.linspace(0.1, 1.0, 8))
 # Frames of each condition and seed set, and base frames from which the scatter is taken.
@@ -264,6 +265,6 @@ def confusion(curves: dict[str, Curve], name: str, strength: float, weakest: flo
     found = {}
     for other, curve in curves.items():
         usable = np.flatnonzero(curve.lengths >= weakest)
-        if other != name and other in CATALOGUE and len(usable):
+        if other != name and other not in OUTSIDE and len(usable):
             found[other] = max(abs(cosine(mine, curve.signatures[:, k])) for k in usable)
     return found

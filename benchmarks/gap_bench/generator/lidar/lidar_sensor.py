@@ -72,7 +72,10 @@ def shoot(
     report = _detect(shot, echoes)
     for effect in effects:
         effect.on_report(shot, report)
-    return _finish(shot, report)
+    written = _finish(shot, report)
+    for effect in effects:
+        effect.on_output(written)
+    return written
 
 
 def _echoes(shot: Shot) -> Echoes:
@@ -108,22 +111,32 @@ def _drops(shot: Shot) -> Drops:
     divergence = 1e-3 * sensor.divergence_mrad + shot.extra_divergence_rad
     pulse_m = sensor.pulse_length_m
     drops = draw_drops(
-        shot.air, sensor, shot.view.beams, shot.density, _floor(shot), divergence, shot.drops_rng, pulse_m
+        shot.air,
+        sensor,
+        shot.view.beams,
+        shot.density,
+        _floor(shot),
+        divergence,
+        shot.drops_rng,
+        pulse_m,
+        shot.beam_density,
     )
     keep = drops.range_m < shot.view.target.range_m[drops.beam]
     if np.isfinite(shot.extent_m):
         keep &= shot.drops_rng.random(len(keep)) < shot.density_at(drops.range_m)
     drops = drops.only(keep)
-    loss = np.exp(-2.0 * shot.depth(drops.frame, drops.range_m))
-    return Drops(drops.frame, drops.beam, drops.range_m, drops.signal * loss * shot.near_gain(drops.range_m))
+    loss = np.exp(-2.0 * shot.depth(drops.frame, drops.range_m, drops.beam))
+    gain = shot.near_gain(drops.range_m) * shot.particle_gain(drops.range_m)
+    return Drops(drops.frame, drops.beam, drops.range_m, drops.signal * loss * gain)
 
 
 def _fog(shot: Shot) -> tuple[FloatArray, FloatArray]:
     nodes = np.arange(shot.sensor.near_start_m, FOG_TO_M, NODE_M)
     every = np.arange(shot.shape[0])[:, None]
-    depth = shot.depth(every, nodes[None])[:, None, :]
-    density = (shot.density[:, None] * shot.density_at(nodes[None]))[:, None, :]
-    gain = shot.near_gain(nodes)[None, None, :]
+    alike = np.ones(1) if shot.beam_density is None else shot.beam_density
+    depth = shot.depth(every, nodes[None], slice(0, 1))[:, None, :] / alike[0] * alike[None, :, None]
+    density = (shot.density[:, None] * shot.density_at(nodes[None]))[:, None, :] * alike[None, :, None]
+    gain = (shot.near_gain(nodes) * shot.particle_gain(nodes))[None, None, :]
     return fog_echo(shot.air, shot.sensor, shot.view.target.range_m, depth, density, nodes, gain, shot.drops_rng)
 
 

@@ -2,6 +2,7 @@
 
 A hidden effect changes a `Shot` at three places: `Effect.prepare` (air, optics, receiver), `Effect.on_echoes` (each
 echo's power), `Effect.on_report` (what the firmware gives out).
+`Effect.on_output` changes what is written in the end, with its noise.
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ class Shot:
         weather: as it truly is.
         time_s: ``(F,)``.
         rng: of the effects' draws.
+        beam_density: ``(N,)`` number of particles in a beam over that of the weather; ``None`` is 1.
         drops_rng, target_rng, echo_rng, report_rng: of the particles, and of the noise of targets, of other echoes and
             of what is reported: apart, so that an effect leaves the draws of the others where they were.
     """
@@ -81,6 +83,9 @@ class Shot:
     last_probability: float = 0.0
     blind_m: float = 0.0
     blind_edge_m: float = 0.3
+    near_full_m: float = 1.0
+    near_power: float = 0.0
+    beam_density: FloatArray | None = None
 
     def __post_init__(self) -> None:
         self.density = np.ones(len(self.time_s))
@@ -115,6 +120,10 @@ class Shot:
             return np.ones_like(range_m)
         return np.asarray(10.0 ** (-1.5 * (1.0 - np.tanh((range_m - self.blind_m) / self.blind_edge_m))))
 
+    def particle_gain(self, range_m: FloatArray) -> FloatArray:
+        """Share of the light of particles that the receiver takes, beside the near-range response of the sensor."""
+        return np.asarray(np.minimum(range_m / self.near_full_m, 1.0) ** self.near_power)
+
     def path_m(self, range_m: FloatArray) -> FloatArray:
         """Length of the path through full weather: the integral of `density_at`."""
         if not np.isfinite(self.extent_m):
@@ -125,9 +134,11 @@ class Shot:
         beyond = np.logaddexp(0.0, (range_m - self.extent_m) / edge) - np.logaddexp(0.0, -self.extent_m / edge)
         return np.asarray(range_m - edge * beyond)
 
-    def depth(self, frame: np.ndarray, range_m: FloatArray) -> FloatArray:
-        """One-way optical depth in a frame to a range."""
+    def depth(self, frame: np.ndarray, range_m: FloatArray, beam: np.ndarray | slice = slice(None)) -> FloatArray:
+        """One-way optical depth in a frame to a range, in some beams."""
         alpha = self.air.extinction_per_m * self.extinction_factor * self.density[frame]
+        if self.beam_density is not None:
+            alpha = alpha * self.beam_density[beam]
         return np.asarray(alpha * self.path_m(range_m))
 
 
@@ -188,3 +199,6 @@ class Effect:
 
     def on_report(self, shot: Shot, report: Report) -> None:
         """Change what is reported."""
+
+    def on_output(self, report: Report) -> None:
+        """Change what is written, with its noise."""

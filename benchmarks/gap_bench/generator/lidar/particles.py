@@ -103,6 +103,7 @@ def draw_drops(
     divergence_rad: float,
     rng: np.random.Generator,
     pulse_m: float = 0.0,
+    beam_density: FloatArray | None = None,
 ) -> Drops:
     """All particles of all beams that can send back ``floor_signal`` or more.
 
@@ -117,6 +118,7 @@ def draw_drops(
         divergence_rad: full angle of the cone.
         rng: draws.
         pulse_m: length over which a pulse adds the echoes of the others; 0: each particle alone.
+        beam_density: ``(N,)`` number of particles in a beam over ``density``; ``None`` is 1.
     """
     sizes = air.sizes
     assert sizes is not None
@@ -135,7 +137,8 @@ def draw_drops(
     used = tail > 0.0
     low, wide_low, wide_high, tail = low[used], wide_low[used], wide_high[used], tail[used]
     mean = volume[used] * tail * beams
-    counts = rng.poisson(density[:, None] * mean)  # (F, cells)
+    densest = 1.0 if beam_density is None else float(beam_density.max())
+    counts = rng.poisson(densest * density[:, None] * mean)  # (F, cells)
     cell = np.tile(np.arange(len(low)), len(density))
     cell = np.repeat(cell, counts.ravel())
     frame = np.repeat(np.arange(len(density)), counts.sum(1))
@@ -148,10 +151,15 @@ def draw_drops(
     outline = (physical_diameter_mm(counted) if flakes else counted).numpy() * 1e-3
     share = np.minimum(1.0, (outline / wide) ** 2)
     full_beam = air.full_echo_per_sr * near_response(sensor, range_m) / range_m**2
+    beam = rng.integers(beams, size=total)
+    dense = np.ones(total) if beam_density is None else beam_density[beam]
     # Those too weak to be listed: their mean echo over the length of a pulse adds to every listed one.
-    unlisted = density[frame] * _outline_area_per_m(sizes, outline_mm[used][cell]) * pulse_m
-    found = Drops(frame, rng.integers(beams, size=total), range_m, full_beam * (share + unlisted))
-    return found if pulse_m == 0.0 else _with_others_of_the_pulse(found, full_beam * share, beams, pulse_m)
+    unlisted = dense * density[frame] * _outline_area_per_m(sizes, outline_mm[used][cell]) * pulse_m
+    found, alone = Drops(frame, beam, range_m, full_beam * (share + unlisted)), full_beam * share
+    if beam_density is not None:
+        kept = rng.random(total) < dense / densest
+        found, alone = found.only(kept), alone[kept]
+    return found if pulse_m == 0.0 else _with_others_of_the_pulse(found, alone, beams, pulse_m)
 
 
 @lru_cache(maxsize=256)
