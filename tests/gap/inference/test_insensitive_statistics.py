@@ -10,7 +10,6 @@ import pytest
 
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.insensitive_statistics import (
-    FRESH_SHARE,
     fresh_delta_chi2,
     gained_elsewhere,
     insensitive_statistics,
@@ -98,8 +97,8 @@ def test_what_a_nuisance_took_from_a_residual_is_taken_from_the_response() -> No
     [
         (40.0, 30.0, True),
         (40.0, 19.0, False),  # less than noise may gain there
-        (30.0 / FRESH_SHARE - 1.0, 30.0, True),
-        (30.0 / FRESH_SHARE + 1.0, 30.0, False),  # nearly all of its gain is where the first effect acts
+        (30.0 / METHOD.fresh_share - 1.0, 30.0, True),
+        (30.0 / METHOD.fresh_share + 1.0, 30.0, False),  # nearly all of its gain is where the first effect acts
     ],
 )
 def test_an_effect_shows_elsewhere_if_no_small_share_of_its_gain_lies_there(

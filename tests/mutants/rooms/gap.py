@@ -593,7 +593,7 @@ MUTANTS = (
         "a_small_share_elsewhere_speaks_for_an_effect",
         "an effect shows where the first does nothing by no small share of its gain",
         "torchweather.gap.inference.insensitive_statistics",
-        "if value > max(least, FRESH_SHARE * total[name])",
+        "if value > max(least, METHOD.fresh_share * total[name])",
         "if value > least",
         (
             (
@@ -601,5 +601,29 @@ MUTANTS = (
                 "test_an_effect_shows_elsewhere_if_no_small_share_of_its_gain_lies_there"
             ),
         ),
+    ),
+    Mutant(
+        "simulated_readings_not_rounded",
+        "a sensor rounds its readings once, after the weather",
+        "torchweather.gap.sensors.lidar.frames",
+        "return range_m, in_steps(intensity * scene.gain[row, None], scene.step)",
+        "return range_m, intensity * scene.gain[row, None]",
+        (("tests/gap/sensors/lidar/test_reading_steps.py::test_simulated_frames_have_the_steps_of_the_clear_ones"),),
+    ),
+    Mutant(
+        "readings_within_steps_below_the_threshold",
+        "what was detected lies above the threshold, also within its step",
+        "torchweather.gap.sensors.lidar.reading_steps",
+        "first = torch.minimum(torch.maximum(first, detected), last)",
+        "pass",
+        ("tests/gap/sensors/lidar/test_reading_steps.py::test_what_was_detected_lies_above_the_threshold",),
+    ),
+    Mutant(
+        "alternating_readings_lie_anywhere",
+        "a level whose readings alternate lies near the edge of its step",
+        "torchweather.gap.sensors.lidar.reading_steps",
+        "fits += torch.where(there, chance.clamp_min(1e-12).log(), 0.0)",
+        "fits += 0.0",
+        (("tests/gap/sensors/lidar/test_reading_steps.py::test_frames_put_back_are_as_they_may_have_been"),),
     ),
 )

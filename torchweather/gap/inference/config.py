@@ -34,6 +34,9 @@ class InferenceConfig:
     # On development studies effects of the catalogue, also of another form, left at most 0.16 of it; of others those
     # with a rest left 0.24 and more.
     unexplained_share: float = 0.2
+    # Of what an added effect gains, that must lie where those found do nothing: of one that patches another form of the
+    # first effect, little does.
+    fresh_share: float = 0.25
     unexplained_gap: float = 10.0  # held-out gap over its floor above which the selection counts as nothing found
 
     # ---- Fits of candidates ----

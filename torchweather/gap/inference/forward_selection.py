@@ -42,7 +42,6 @@ from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.global_test import GlobalTest, counted_entries, located_templates, run_global_test
 from torchweather.gap.inference.held_out import HeldOut, held_out
 from torchweather.gap.inference.insensitive_statistics import (
-    FRESH_SHARE,
     fresh_delta_chi2,
     gained_elsewhere,
     insensitive_statistics,
@@ -256,7 +255,7 @@ def _rounds(
             if kept and one.fit.misfit > kept[0].fit.misfit + CLOSE:
                 break
             own = fresh.get(one.id, math.inf)
-            if own < sure and gained_elsewhere(search, best.fit, one.fit) < FRESH_SHARE * one.gain:
+            if own < sure and gained_elsewhere(search, best.fit, one.fit) < METHOD.fresh_share * one.gain:
                 own = sure  # fitted, it does something else than show where those found do nothing
             # Another form of an effect than the stage's looks like what it is confused with, also beside it.
             like = significant and any(_confusable(one.id, name) for name in values)

@@ -19,13 +19,9 @@ from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
 from torchweather.gap.inference.systematics import Systematics
 
-__all__ = ["FRESH_SHARE", "fresh_delta_chi2", "gained_elsewhere", "insensitive_statistics", "shown_elsewhere"]
+__all__ = ["fresh_delta_chi2", "gained_elsewhere", "insensitive_statistics", "shown_elsewhere"]
 
 Floats = NDArray[np.float64]
-
-# Of what an added effect gains, that must lie where those found do nothing: of one that patches another form of the
-# first effect, little does.
-FRESH_SHARE = 0.25
 
 
 def insensitive_statistics(search: SimulatorLikelihood, fit: Fit) -> NDArray[np.bool_]:
@@ -71,7 +67,7 @@ def shown_elsewhere(
     total = dict.fromkeys((template.id for template in templates), 0.0)
     for template, value in zip(templates, gain, strict=True):
         total[template.id] = max(total[template.id], float(value))
-    return [name for name, value in elsewhere.items() if value > max(least, FRESH_SHARE * total[name])]
+    return [name for name, value in elsewhere.items() if value > max(least, METHOD.fresh_share * total[name])]
 
 
 def gained_elsewhere(search: SimulatorLikelihood, fit: Fit, more: Fit) -> float:

@@ -318,13 +318,16 @@ def test_the_scale_of_a_clear_mean_is_known_as_well_as_frames_agree() -> None:
     assert "clear scale s0" not in LidarFrames(tiny_study(clear=1)).open(study.conditions[0])
 
 
-def test_whole_numbers_have_no_scale() -> None:
-    """They would not stay whole."""
+def test_readings_in_steps_have_a_scale_and_stay_on_them() -> None:
     study = tiny_study(clear=4)
     scenes = [
-        replace(scene, clear=[{**frame, "intensity": np.rint(100.0 * frame["intensity"])} for frame in scene.clear])
+        replace(
+            scene, clear=[{**frame, "intensity": 0.01 * np.floor(100.0 * frame["intensity"])} for frame in scene.clear]
+        )
         for scene in study.scenes.values()
     ]
-    whole = replace(study, scenes={scene.id: scene for scene in scenes})
-    assert (LidarFrames(whole).scenes["s0"].gain == 1.0).all()
-    assert (LidarFrames(study).scenes["s0"].gain != 1.0).any()
+    stepped = replace(study, scenes={scene.id: scene for scene in scenes})
+    model = LidarFrames(stepped)
+    assert (model.scenes["s0"].gain != 1.0).all()
+    _, intensity = model.simulated_scans(model.fit[0], [], 0.0, range(4))
+    torch.testing.assert_close(100.0 * intensity, (100.0 * intensity).round(), atol=1e-3, rtol=0.0)

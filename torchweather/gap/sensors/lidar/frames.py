@@ -22,6 +22,7 @@ from torch import Tensor
 from torchweather.core.recent import Recent
 from torchweather.gap.inference.effect_forms import searched_effects
 from torchweather.gap.sensors.lidar.forms import LIDAR_FORMS
+from torchweather.gap.sensors.lidar.reading_steps import in_steps
 from torchweather.gap.sensors.lidar.scene import LidarScene, lidar_scene
 from torchweather.gap.sensors.lidar.sums import LidarSums, lidar_layout, map_cells
 from torchweather.gap.sensors.lidar.systematics import (
@@ -131,7 +132,8 @@ class LidarFrames:
     def clear(self, scene_id: str, portions: int = 1) -> Reduced:
         """The clear frames of a scene, each compared with the others; ``portions`` as in ``reduce``."""
         scene = self.scenes[scene_id]
-        return self.reduce(scene_id, scene.range_m, scene.intensity, torch.arange(len(scene.range_m)), portions)
+        written = in_steps(scene.intensity, scene.step)
+        return self.reduce(scene_id, scene.range_m, written, torch.arange(len(scene.range_m)), portions)
 
     def transform(self, condition: Condition) -> LidarWeather:
         """The ready-made chain of a condition's weather."""
@@ -282,7 +284,7 @@ class LidarFrames:
         last = stages[ToPoints.default_name]
         assert isinstance(last, ToPoints)
         range_m, intensity = last.measurement(state, self._noise(stages, condition, state, seeds, last.default_name))
-        return range_m, intensity * scene.gain[row, None]
+        return range_m, in_steps(intensity * scene.gain[row, None], scene.step)
 
     def _stages(
         self, transform: LidarWeather, scene: LidarScene, row: Tensor, effects: Sequence[Effect]

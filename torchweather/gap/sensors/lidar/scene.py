@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.gap.sensors.lidar.reading_steps import frames_within_steps, reading_step
 from torchweather.gap.study.study import StudyScene
 from torchweather.lidar.stages import ToEnergy
 
@@ -48,7 +49,8 @@ class LidarScene:
     """The clear frames of a scene and what each frame is compared with.
 
     Args:
-        range_m, intensity: ``(K, N)`` clear frames.
+        range_m, intensity: ``(K, N)`` clear frames; readings within their steps.
+        step: of readings, 0 where they have none (``reading_steps.py``).
         reference_range_m, reference_intensity: ``(K + 1, N)`` mean over the clear frames other than k, the last row
             over all; 0 where it is not defined.
         stable: ``(N,)`` beams that see a surface.
@@ -58,7 +60,7 @@ class LidarScene:
         noise_m: standard deviation of the range of the clear frames.
         log_scale: ``(K,)`` logarithm of the intensities of each clear frame over the mean of all, averaged: what a
             sensor's scale does from frame to frame.
-        gain: ``(K,)`` the scale that a frame is divided by; 1 where intensities are whole numbers.
+        gain: ``(K,)`` the scale that a frame is divided by.
         clock_m: ``(K,)`` range of each clear frame beyond the mean of all, averaged over stable beams: what the start
             of a sensor's clock does from frame to frame.
         reading_std: relative standard deviation of the intensity that does not depend on the signal.
@@ -71,6 +73,7 @@ class LidarScene:
 
     range_m: Tensor
     intensity: Tensor
+    step: float
     reference_range_m: Tensor
     reference_intensity: Tensor
     stable: Tensor
@@ -106,6 +109,14 @@ def lidar_scene(
         for name in ("range_m", "intensity")
     )
     number = len(frames)
+    step = reading_step(intensity[range_m > 0]) if with_intensity else 0.0
+    # What frames are compared with follows from the readings alone: a place that was drawn within a step is one that
+    # simulated frames share and measured ones do not.
+    read = torch.where(range_m > 0, intensity + 0.5 * step, intensity)
+    if step > 0:
+        intensity = frames_within_steps(
+            intensity, range_m > 0, step, _least_detected(range_m, intensity, step, energy), 0
+        )
     seen = (range_m > 0).double()
     # Row k leaves frame k out, the last row takes all; of a single frame, itself.
     keep = torch.ones(number + 1, number, dtype=torch.float64)
@@ -113,7 +124,7 @@ def lidar_scene(
         keep[:number] -= torch.eye(number, dtype=torch.float64)
     count, frames_of = keep @ seen, keep.sum(1, keepdim=True)
     mean_range = (keep @ range_m.double()) / count.clamp_min(1.0)
-    mean_intensity = (keep @ (intensity.double() * seen)) / count.clamp_min(1.0)
+    mean_intensity = (keep @ (read.double() * seen)) / count.clamp_min(1.0)
     far, near = range_m.amax(0), torch.where(range_m > 0, range_m, torch.inf).amin(0)
     one_surface = torch.where(far > 0, far - near, 0.0) < 2.0 * SAME_SURFACE_M
     # Of all frames: a beam that a single frame sees is not empty, nor is one stable that a single frame lacks.
@@ -132,14 +143,14 @@ def lidar_scene(
     variance_at_threshold, reading_std = 0.0, 0.0
     chosen = torch.zeros_like(margin_db, dtype=torch.bool)
     if with_intensity:
-        apart = intensity.double().clamp_min(FAINTEST).log() - mean_intensity[-1].clamp_min(FAINTEST).log()
+        drawn = (intensity.double() * seen).sum(0) / count[-1].clamp_min(1.0)
+        apart = intensity.double().clamp_min(FAINTEST).log() - drawn.clamp_min(FAINTEST).log()
         noise_db = DB_PER_NEPER * _spread(apart, stable)
         stable = stable & (margin_db[-1] > FLICKER_SD * noise_db)
         chosen = _chosen_by_own_noise(margin_db, noise_db)
         if bool(stable.any()) and number > 1:
             log_scale = apart[:, stable].mean(1)
-            if not bool((intensity == intensity.round()).all()):  # whole numbers would not stay whole
-                gain = log_scale.exp().float()
+            gain = log_scale.exp().float()
             constant, variance_at_threshold = _variances(apart[:, stable] - log_scale[:, None], margin_db[-1, stable])
             reading_std = math.sqrt(constant)
     clock_m = torch.zeros(number)
@@ -155,6 +166,7 @@ def lidar_scene(
     return LidarScene(
         range_m=range_m,
         intensity=intensity,
+        step=step,
         reference_range_m=mean_range.float(),
         reference_intensity=mean_intensity.float(),
         stable=stable,
@@ -171,6 +183,18 @@ def lidar_scene(
         cos_incidence=geometry.get("cos_incidence"),
         up=geometry.get("up"),
     )
+
+
+def _least_detected(range_m: Tensor, intensity: Tensor, step: float, energy: ToEnergy) -> Tensor:
+    """Reading ``(N,)`` at the threshold of detection, within the lowest step in which a beam was read."""
+    lowest = torch.where(range_m > 0, intensity, torch.inf).amin(0)
+    lowest = torch.where(lowest.isfinite(), lowest, 0.0)
+    with torch.no_grad():
+        start, end = (
+            energy.signal_of_intensity(one[None], range_m.amax(0)[None])[0] for one in (lowest, lowest + step)
+        )
+    share = (energy.beam.threshold - start) / (end - start).clamp_min(1e-30)
+    return lowest + step * share.clamp(0.0, 1.0)
 
 
 def _spread(departure: Tensor, where: Tensor) -> float:

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import TorchweatherError
-from torchweather.core.random import keyed_stream
+from torchweather.gap.sensors.lidar.reading_steps import within_steps
 from torchweather.gap.study.checks import UNIT_TOLERANCE, ArrayRule, refuse, unit_vectors
 from torchweather.gap.study.conditions import Condition, StudyContent
 from torchweather.gap.study.frames import Frame
@@ -36,7 +36,6 @@ __all__ = ["LidarStudy", "simulated_lidar"]
 # The darkest calibrated target that is sold (Spectralon) reflects 2 %; half of a scene is never half as dark.
 DARKEST = 0.01
 GRID = ("H", "W")
-INSIDE_STEP = (0.002, 0.998)  # of a level of intensity, away from the rounding of float32 at its ends
 
 Array = NDArray[Any]
 
@@ -256,10 +255,9 @@ def _unrounded(clear: Frame, lidar: Lidar, seed: int) -> Array:
     A sensor in weather rounds once. Weather on integers would round twice: losses below a step vanish, and dark returns
     are lost that a sensor keeps.
     """
-    levels = np.asarray(clear["intensity"], dtype=np.float64)
-    low, high = INSIDE_STEP
-    share = low + (high - low) * keyed_stream(seed, "gap.intensity_within_step").random(size=levels.shape)
-    within = torch.from_numpy(np.where(np.asarray(clear["range_m"]) > 0, levels + share, 0.0).astype(np.float32))
+    levels = torch.from_numpy(np.asarray(clear["intensity"], dtype=np.float64))
+    put_back = within_steps(levels.reshape(-1), 1.0, seed).reshape(levels.shape)
+    within = torch.where(torch.from_numpy(np.asarray(clear["range_m"]) > 0), put_back, 0.0).float()
     return reflectivity_from_intensity(within, lidar.intensity_unit, lidar.assumed_reflectivity).numpy()
 
 
