@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from torchweather.gap.gap_report import Curve, GapReport, ResidualMap, Response
+from torchweather.gap.gap_report import BinDeparture, Curve, GapReport, ResidualMap, Response
 from torchweather.gap.natural_units import NaturalDeparture
 from torchweather.gap.places import CellValues, Places
 from torchweather.gap.study.study import Study
@@ -173,7 +173,8 @@ def residuals(study: Study, *, fitted: bool) -> ResidualMap:
     groups = (("log_intensity_ratio", "range_m"), ("lost_share", "azimuth_rad"), ("particles", "place"))
     conditions = tuple(one.id for one in study.fit if one.weather is not None)
     before = np.tile([[14.0], [6.5], [np.nan]], (1, len(conditions)))
-    return ResidualMap(groups, conditions, before, np.ones_like(before) if fitted else None)
+    largest = (BinDeparture(-2.4, "dB", 17.0, 23.0), BinDeparture(3.1, "% of beams", 0.0, 0.4), None)
+    return ResidualMap(groups, conditions, before, np.ones_like(before) if fitted else None, largest)
 
 
 def report(verdict: str, study: Study, **more: Any) -> GapReport:

@@ -15,7 +15,7 @@ import torch
 from tests.gap import studies
 from tests.report.made_up_gaps import EMPIRICAL, UNKNOWN, WINDOW_LOSS, report
 from tests.report.parsed_page import Page
-from torchweather.gap.gap_report import Curve, GapReport, ResidualMap, Response, read_model
+from torchweather.gap.gap_report import BinDeparture, Curve, GapReport, ResidualMap, Response, read_model
 from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.report.gap_figures import curve_uri, residual_uri, response_uri
@@ -295,6 +295,14 @@ def test_the_map_shows_numbers_and_leaves_out_what_never_counts(study: Study) ->
     assert "Beams that lost their return, by range" in shown
     assert "Map of the particle returns, in one place of every frame" not in shown
     assert {"12", "–"} <= set(shown)
+
+
+def test_the_map_has_the_largest_departure_in_its_own_unit_beside_it() -> None:
+    groups = (("lost_share", "range_m"), ("log_intensity_ratio", "frame"), ("lost_share", "azimuth_rad"))
+    largest = (BinDeparture(3.21, "% of beams", 17.0, 23.0), BinDeparture(-0.5, "dB", 0.0, 1.0), None)
+    picture = svg(residual_uri(ResidualMap(groups, ("c0",), np.array([[12.3], [2.0], [1.0]]), None, largest)))
+    shown = re.findall(r"<!-- (.*?) -->", picture)
+    assert {"+3.21 % of beams, 17 to 23 m", "−0.500 dB", "as it is: the largest, measured less simulated"} <= set(shown)
 
 
 def test_a_response_is_drawn_for_the_measurement_and_every_effect() -> None:

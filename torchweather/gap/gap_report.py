@@ -29,7 +29,17 @@ from torchweather.lidar.effects.empirical import Empirical
 from torchweather.pipeline.effect import Effect, Parameter
 from torchweather.recipes.options import RecipeTransform
 
-__all__ = ["Curve", "GapReport", "ResidualMap", "Response", "excess_left", "gap_report", "read_model", "write_model"]
+__all__ = [
+    "BinDeparture",
+    "Curve",
+    "GapReport",
+    "ResidualMap",
+    "Response",
+    "excess_left",
+    "gap_report",
+    "read_model",
+    "write_model",
+]
 
 Floats = NDArray[np.float64]
 T = TypeVar("T", bound=RecipeTransform)
@@ -101,6 +111,22 @@ class Response:
 
 
 @dataclass(frozen=True)
+class BinDeparture:
+    """A bin's departure in the statistic's own unit.
+
+    Args:
+        value: measured less simulated, the mean over the conditions.
+        unit: of it.
+        low, high: ends of the bin, in the unit of the axis.
+    """
+
+    value: float
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
 class ResidualMap:
     """Departure of each statistic in each condition.
 
@@ -110,12 +136,15 @@ class ResidualMap:
         before, after: ``(rows, columns)`` root mean square departure over the bins in standard deviations of chance, 1
             in the mean where nothing is missing, NaN where nothing counts; ``after`` is ``None`` where
             nothing was fitted.
+        largest: of each row the bin with the largest departure before, all conditions together; ``None`` where nothing
+            counts or the statistic has no unit of its own.
     """
 
     groups: tuple[tuple[str, str], ...]
     conditions: tuple[str, ...]
     before: Floats
     after: Floats | None
+    largest: tuple[BinDeparture | None, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -517,7 +546,22 @@ def _residuals(result: GapResult) -> ResidualMap:
 
     groups = tuple((group.statistic, group.axis) for group in layout.groups)
     conditions = tuple(target.condition.id for target in search.measured)
-    return ResidualMap(groups, conditions, of(search.start), None if result.fit is None else of(result.fit.base))
+    largest = tuple(_largest(search, group, part) for group, part in zip(layout.groups, layout.slices, strict=True))
+    after = None if result.fit is None else of(result.fit.base)
+    return ResidualMap(groups, conditions, of(search.start), after, largest)
+
+
+def _largest(search: SimulatorLikelihood, group: Group, part: slice) -> BinDeparture | None:
+    """The bin of a group that departs most, in natural units."""
+    natural = _averaged_naturally(search, group, part, search.start)
+    if natural is None:
+        return None
+    each = np.stack([values[part] for values in _departures(search, search.start).values()])
+    common = np.where(np.isfinite(natural), np.abs(np.nansum(each, 0)), -1.0)
+    place = int(common.argmax())
+    if common[place] < 0:
+        return None
+    return BinDeparture(float(natural[place]), _unit_text(group), group.edges[place], group.edges[place + 1])
 
 
 def _mean_square(values: Floats) -> float:

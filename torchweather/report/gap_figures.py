@@ -18,11 +18,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
-from torchweather.gap.gap_report import Curve, ResidualMap, Response
+from torchweather.gap.gap_report import BinDeparture, Curve, ResidualMap, Response
 from torchweather.report.correlation_figures import MARKS
 from torchweather.report.figures import INK, MUTED, STYLE, plain_axes, svg_uri
-from torchweather.report.gap_words import axis_name, curve_unit, edge_text, effect_name, group_name
-from torchweather.report.tables import number_text
+from torchweather.report.gap_words import WHOLE, axis_name, curve_unit, edge_text, effect_name, group_name
+from torchweather.report.tables import number_text, signed_text
 
 __all__ = ["AFTER", "BAND", "BEFORE", "curve_uri", "gap_uri", "residual_uri", "response_uri", "unknown_uri"]
 
@@ -37,6 +37,7 @@ ROOM = 1.25
 # Of the effects of a response figure, the best first; told apart without colour by their dashes.
 LINES = (("#1c7ed6", "-"), ("#e8590c", (0, (5, 2))), ("#2b8a3e", (0, (2, 1.5))), ("#862e9c", (0, (5, 1.5, 1, 1.5))))
 SHORT = 9.95  # from which a number of a map has no decimals
+LARGEST = "as it is: the largest, measured less simulated"
 LETTER = 0.073  # inch, of a label of a map
 # Root mean square departures of a map: where its colours begin (chance) and end.
 MAP_FROM, MAP_TO = 1.0, 30.0
@@ -112,7 +113,8 @@ def response_uri(responses: Sequence[Response]) -> str:
 
 
 def residual_uri(residuals: ResidualMap) -> str:
-    """Statistics by conditions, the departure as a colour and a number, before and with the best fit."""
+    """Statistics by conditions, the departure as a colour and a number, before and with the best fit; beside them the
+    largest departure of each in its own unit."""
     panels = [("the simulation as it is", residuals.before)]
     if residuals.after is not None:
         panels.append(("with the best fit", residuals.after))
@@ -122,7 +124,10 @@ def residual_uri(residuals: ResidualMap) -> str:
     # Wide enough for the title of a panel.
     cell, row = max(0.55, 1.7 / columns), 0.235
     left = 0.2 + LETTER * max(map(len, labels), default=0)
-    width = left + len(panels) * (columns * cell + 0.3)
+    natural = [_in_own_unit(*group, one) for group, one in zip(residuals.groups, residuals.largest, strict=False)]
+    natural = [one for one, keep in zip(natural, shown, strict=False) if keep]
+    right = 0.1 + LETTER * max(len(one) for one in (*natural, LARGEST)) if natural else 0.0
+    width = left + len(panels) * (columns * cell + 0.3) + right
     longest = max(map(len, residuals.conditions), default=0)
     slanted = longest * LETTER > cell  # names that would run into each other
     height = 0.75 + row * len(labels) + (0.6 * LETTER * longest if slanted else 0.0)
@@ -149,7 +154,24 @@ def residual_uri(residuals: ResidualMap) -> str:
             axes.set_title(title, fontsize=9.5, pad=6)
             for side in axes.spines.values():
                 side.set_visible(False)
+        for place, text in enumerate(natural):
+            axes.text(columns - 0.5 + 0.1 / cell, place, text, va="center", fontsize=8.5, color=INK)
+        if natural:
+            axes.text(columns - 0.5 + 0.1 / cell, -1.0, LARGEST, va="bottom", fontsize=8.5, color=MUTED)
         return svg_uri(figure)
+
+
+def _in_own_unit(statistic: str, axis: str, one: BinDeparture | None) -> str:
+    """A bin's departure in the unit of its statistic, and where the bin lies."""
+    if one is None:
+        return ""
+    found = f"{signed_text(one.value, plus=True)} {one.unit}"
+    if axis in WHOLE or axis in CLASSES:
+        return found
+    low, high = (edge_text(axis, end) for end in (one.low, one.high))
+    unit = axis_name(axis).rpartition(", ")[2] if ", " in axis_name(axis) else ""
+    where = f"above {low}" if high == "∞" else f"{low} to {high}"
+    return f"{found}, {where} {unit}".rstrip()
 
 
 def unknown_uri(axis: str, curve: Mapping[str, Any], formula: Mapping[str, Any] | None) -> str:

@@ -247,8 +247,9 @@ def _left(study: Study, report: GapReport, answer: Mapping[str, Any]) -> Section
         found.append(parts.Paragraph(text))
     if report.residuals is not None:
         text = """Root mean square departure over the bins of each statistic, in standard deviations of chance: about 1
-            is chance, a dash has too little to count. The shade grows with the logarithm, from 1 to 30. Neighbouring
-            rows look at the same returns along other axes."""
+            is chance, a dash has too little to count. The shade grows with the logarithm, from 1 to 30. At the right is
+            the bin that departs most in the simulation as it is, in the unit of the statistic, the mean of all
+            conditions. Neighbouring rows look at the same returns along other axes."""
         picture = parts.Figure(
             residual_uri(report.residuals), "Departure of every statistic in every condition", look="chart map"
         )
