@@ -176,5 +176,9 @@ class LinearSimulator:
         """Particles are in their bin."""
         return 0.0
 
+    def left_open(self, condition: Condition) -> float:
+        """Nothing beside how clear frames differ."""
+        return 0.0
+
     def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Simulate about this weather: any will do here."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.calibrated_scatter import MeasuredSize, calibrated_scatter
+from torchweather.gap.inference.calibrated_scatter import CalibratedScatter, MeasuredSize, calibrated_scatter
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Pool, Reduced
 
@@ -146,3 +146,29 @@ def test_few_clear_frames_do_not_make_a_spread_sure() -> None:
 def test_elements_that_say_little_of_a_spread_are_not_believed() -> None:
     degrees_of_freedom = np.concatenate([spreads(5, seed, uneven=1.5)[1] for seed in range(5)])
     assert np.median(degrees_of_freedom) < 4.0 + 0.2 * METHOD.element_law_degrees
+
+
+def test_what_clear_frames_leave_open_is_known_and_one_error_of_a_scene() -> None:
+    """Variances 4 and 1 more where it is shared, by a scatter of 2 and 1; a third entry is not."""
+    ones = np.ones(3)
+    one = CalibratedScatter(
+        mean=0.0 * ones,
+        draws=np.zeros((1, 3)),
+        own=2.0 * ones,
+        simulated=ones,
+        clear=ones,
+        shared=np.array([True, True, False]),
+        expected=0.5 * ones,
+        model=0.1 * ones,
+        event=0.2 * ones,
+        degrees_of_freedom=6.0 * ones,
+        told_by_clear=ones,
+    )
+    found = one.beside(np.array([2.0, 1.0, 3.0]))
+    np.testing.assert_allclose(found.clear, [5.0, 2.0, 1.0])
+    np.testing.assert_allclose(found.own, one.own)
+    np.testing.assert_allclose(found.expected, [0.75, 0.6, 0.5])  # (0.5 x 4 + 4) / 8, (0.5 x 4 + 1) / 5
+    np.testing.assert_allclose(found.model, [0.05, 0.08, 0.1])
+    np.testing.assert_allclose(found.event, [0.1, 0.16, 0.2])
+    np.testing.assert_allclose(found.degrees_of_freedom, [24.0, 9.375, 6.0])  # the rest is known
+    assert one.beside(0.0) is one

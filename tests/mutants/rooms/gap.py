@@ -614,16 +614,50 @@ MUTANTS = (
         "readings_within_steps_below_the_threshold",
         "what was detected lies above the threshold, also within its step",
         "torchweather.gap.sensors.lidar.reading_steps",
-        "first = torch.minimum(torch.maximum(first, detected), last)",
-        "pass",
+        "torch.maximum(first, (least.double() / step).clamp_max(1e9) / scale)",
+        "first",
         ("tests/gap/sensors/lidar/test_reading_steps.py::test_what_was_detected_lies_above_the_threshold",),
     ),
     Mutant(
         "alternating_readings_lie_anywhere",
         "a level whose readings alternate lies near the edge of its step",
         "torchweather.gap.sensors.lidar.reading_steps",
-        "fits += torch.where(there, chance.clamp_min(1e-12).log(), 0.0)",
+        "fits += torch.where(seen[row], chance.clamp_min(1e-12).log(), 0.0)",
         "fits += 0.0",
         (("tests/gap/sensors/lidar/test_reading_steps.py::test_frames_put_back_are_as_they_may_have_been"),),
+    ),
+    Mutant(
+        "scales_of_frames_lost_in_steps",
+        "readings put back within their steps keep the scale of their frame",
+        "torchweather.gap.sensors.lidar.reading_steps",
+        "scale = _scales(place + 0.5, seen)[:, None]",
+        "scale = torch.ones(len(place), 1)",
+        ("tests/gap/sensors/lidar/test_reading_steps.py::test_the_scale_of_a_frame_is_kept",),
+    ),
+    Mutant(
+        "what_steps_leave_open_forgotten",
+        "where a reading lies within its step is one error of all conditions of a scene",
+        "torchweather.gap.sensors.lidar.frames",
+        "found[part] = (variance.sqrt() / number.clamp_min(1)).numpy()",
+        "found[part] = 0.0",
+        (
+            (
+                "tests/gap/sensors/lidar/test_reading_steps.py::"
+                "test_what_steps_leave_open_is_an_error_of_mean_intensities"
+            ),
+        ),
+    ),
+    Mutant(
+        "what_is_left_open_lost_in_the_scatter",
+        "what clear frames leave open is in the scatter, once for a scene",
+        "torchweather.gap.inference.calibrated_scatter",
+        "clear=self.clear + more,",
+        "clear=self.clear,",
+        (
+            (
+                "tests/gap/inference/test_calibrated_scatter.py::"
+                "test_what_clear_frames_leave_open_is_known_and_one_error_of_a_scene"
+            ),
+        ),
     ),
 )

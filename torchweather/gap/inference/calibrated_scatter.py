@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
@@ -84,6 +84,23 @@ class CalibratedScatter:
     event: Floats
     degrees_of_freedom: Floats
     told_by_clear: Floats
+
+    def beside(self, left_open: Floats | float) -> CalibratedScatter:
+        """With what clear frames leave open beside how they differ ``(P,)``: known, and one error of their scene."""
+        more = np.where(self.shared, np.square(left_open), 0.0)
+        if not more.any():
+            return self
+        whole = np.maximum(self.own + self.simulated + self.clear, TINY**2)
+        kept = whole / (whole + more)
+        return replace(
+            self,
+            clear=self.clear + more,
+            expected=self.expected * kept + 1.0 - kept,
+            model=self.model * kept,
+            event=self.event * kept,
+            # A sum of a variance that is known and one that is estimated (Satterthwaite 1946).
+            degrees_of_freedom=self.degrees_of_freedom / kept**2,
+        )
 
 
 def calibrated_scatter(

@@ -93,6 +93,11 @@ class FrameModel(Protocol):
         """Share of the particles of a condition that the model may put into a neighbouring bin of range."""
         ...
 
+    def left_open(self, condition: Condition) -> Floats | float:
+        """Scatter ``(P,)`` by what the clear frames leave open beside how they differ, one in all conditions of a
+        scene."""
+        ...
+
     def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Simulate the condition about this weather from here on."""
         ...
@@ -128,6 +133,7 @@ class Observation:
         frames: their number.
         misplaced: as in ``FrameModel``.
         clear_frames: of its scene.
+        left_open: as in ``FrameModel``.
     """
 
     condition: Condition
@@ -136,6 +142,7 @@ class Observation:
     frames: int
     misplaced: float = 0.0
     clear_frames: int = 1
+    left_open: Floats | float = 0.0
 
     @property
     def intensity_sd(self) -> float:
@@ -150,7 +157,8 @@ def observations(model: FrameModel, conditions: Sequence[Condition]) -> list[Obs
         pool = Pool(model.layout, model.measured(condition))
         number, clear = len(pool), model.clear_frames[condition.scene]
         vector = pool.vectors(np.arange(number)[None], condition.time_s)[0]
-        found.append(Observation(condition, vector, pool.enough(number), number, model.misplaced(condition), clear))
+        misplaced, left_open = model.misplaced(condition), model.left_open(condition)
+        found.append(Observation(condition, vector, pool.enough(number), number, misplaced, clear, left_open))
     return found
 
 
@@ -299,7 +307,7 @@ def simulated_distribution(
     sds, owns, totals, used, shared = {}, {}, {}, {}, {}
     for target in measured:
         name = target.condition.id
-        one = found[name]
+        found[name] = one = found[name].beside(target.left_open)
         clear = np.where(one.shared, one.clear, 0.0)
         apart = one.own + one.simulated + (one.clear - clear)
         sds[name], owns[name] = np.sqrt(np.maximum(apart, TINY**2)), np.sqrt(np.maximum(one.own, TINY**2))

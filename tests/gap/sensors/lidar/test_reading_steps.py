@@ -69,7 +69,7 @@ def test_frames_put_back_are_as_they_may_have_been(spread: float) -> None:
     seen = torch.from_numpy(rng.random((6, BEAMS)) > 0.1)
     seen[:, :50] = False
     readings = torch.where(seen, in_steps(truth, 1.0), 0.0)
-    found = frames_within_steps(readings, seen, 1.0, torch.zeros(BEAMS), 0)
+    found, _ = frames_within_steps(readings, seen, 1.0, torch.zeros(BEAMS), 0)
     torch.testing.assert_close(in_steps(found, 1.0), readings, atol=1e-7, rtol=0.0)
     share, true = ((one - readings)[seen] for one in (found, truth))
     assert float(share.mean()) == pytest.approx(float(true.mean()), abs=4.0 * math.sqrt(1.0 / 6.0 / BEAMS))
@@ -81,14 +81,28 @@ def test_frames_put_back_are_as_they_may_have_been(spread: float) -> None:
         away = (far - edge).abs()[:, alternates][seen[:, alternates]]
         assert float(away.mean()) < 0.5
     near = [float((one - edge).abs()[:, alternates][seen[:, alternates]].mean()) for one in (found, truth)]
-    assert near[0] == pytest.approx(near[1], rel=0.1)
+    assert near[0] == pytest.approx(near[1], rel=0.15)
+
+
+def test_the_scale_of_a_frame_is_kept() -> None:
+    """Levels of 1 to 8 steps, which hardly ever read otherwise in a frame that is 2 % brighter."""
+    rng = np.random.default_rng(6)
+    scale = torch.tensor([1.0, 1.02, 0.98, 1.01])[:, None]
+    truth = scale * torch.from_numpy(rng.uniform(1.0, 8.0, BEAMS)) * (1.0 + 0.01 * torch.randn(4, BEAMS))
+    readings = in_steps(truth, 1.0)
+    found, _ = frames_within_steps(readings, readings >= 0, 1.0, torch.zeros(BEAMS), 0)
+    mean, true = ((one.mean(1) / one.mean()).double() for one in (found, truth))
+    # A share of 4 % of a step is read otherwise, of as many beams: binomial noise.
+    torch.testing.assert_close(mean, true, atol=4.0 * math.sqrt(0.1 / BEAMS) / 4.5, rtol=0.0)
 
 
 def test_what_was_detected_lies_above_the_threshold() -> None:
     readings = torch.full((3, BEAMS), 4.0)
-    found = frames_within_steps(readings, readings > 0, 1.0, torch.full((BEAMS,), 4.7), 0)
+    found, unsure = frames_within_steps(readings, readings > 0, 1.0, torch.full((BEAMS,), 4.7), 0)
     assert float(found.min()) >= 4.7 - 1e-6
     assert float(found.mean()) == pytest.approx(4.5 + 0.35, abs=0.01)
+    # A level between 4.7 and 5, even in between.
+    torch.testing.assert_close(unsure, torch.full_like(unsure, 0.3**2 / 12.0 / 4.85**2), rtol=0.1, atol=0.0)
 
 
 def test_weather_on_readings_in_steps_is_rounded_once() -> None:
@@ -133,3 +147,27 @@ def test_simulated_frames_have_the_steps_of_the_clear_ones() -> None:
     measured = sum(int(((frame["intensity"] == 0) & (frame["range_m"] > 0)).sum()) for frame in seen) / count
     assert measured > 0.01
     assert zeros == pytest.approx(measured, abs=4.0 * math.sqrt(2.0 * measured / count))
+
+
+def test_what_steps_leave_open_is_an_error_of_mean_intensities() -> None:
+    """Steps of 0.05 on reflectivities of 0.1 to 0.9: of the mean over the n beams of a bin the root of their summed
+    variances over n, where an even place within a step has the variance 1/12 of it."""
+    model = LidarFrames(rounded(tiny_study(), 0.05))
+    condition, (scene,) = model.fit[0], model.scenes.values()
+    found = np.asarray(model.left_open(condition))
+    variance = 1.0 / 12.0 * (0.05 / scene.reference_intensity[-1].double().clamp_min(0.01).numpy()) ** 2
+    bins = 0
+    for group, part in zip(model.layout.groups, model.layout.slices, strict=True):
+        if group.statistic != "log_intensity_ratio" or group.kind != "mean":
+            assert (found[part] == 0.0).all()
+            continue
+        place = np.where(scene.stable.numpy(), scene.bins[group.axis][-1].numpy(), -1)
+        for number in range(group.bins):
+            beams = place == number
+            if beams.sum() > 30:
+                even = np.sqrt(variance[beams].sum()) / beams.sum()
+                # Readings alternate by the noise of 3 % in many of the brighter beams, and tell more of those.
+                assert 0.3 * even < found[part][number] < 1.2 * even
+                bins += 1
+    assert bins > 20
+    assert LidarFrames(tiny_study()).left_open(condition) == 0.0

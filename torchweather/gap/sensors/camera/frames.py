@@ -191,6 +191,10 @@ class CameraFrames:
         """No statistic has particles along their own range."""
         return 0.0
 
+    def left_open(self, condition: Condition) -> float:
+        """Nothing beside how clear frames differ."""
+        return 0.0
+
     def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Render particles at this rate, and at those about it."""
         with self._lock:

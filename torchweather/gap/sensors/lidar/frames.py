@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torchweather.core.recent import Recent
@@ -164,6 +165,25 @@ class LidarFrames:
         """Share of the particles of a condition that the model may put into a neighbouring bin of range."""
         assert condition.weather is not None
         return FOG_MISPLACED if "fog" in {part.kind for part in condition.weather.parts} else 0.0
+
+    def left_open(self, condition: Condition) -> NDArray[np.float64] | float:
+        """Scatter ``(P,)`` of mean intensities by where clear readings lie within their steps: one in all frames
+        of a scene."""
+        scene = self.scenes[condition.scene]
+        if scene.unsure is None:
+            return 0.0
+        found, unsure = np.zeros(self.layout.size), scene.unsure[scene.stable].double()
+        for group, part in zip(self.layout.groups, self.layout.slices, strict=True):
+            if group.statistic != "log_intensity_ratio" or group.kind != "mean":
+                continue
+            place = scene.bins[group.axis][-1][scene.stable]
+            inside = place >= 0
+            number, variance = (
+                torch.bincount(place[inside].long(), weights, group.bins)[: group.bins]
+                for weights in (None, unsure[inside])
+            )
+            found[part] = (variance.sqrt() / number.clamp_min(1)).numpy()
+        return found
 
     def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Every weather is simulated as it is asked for."""

@@ -65,7 +65,9 @@ def within_steps(intensity: Tensor, step: float, seed: int) -> Tensor:
     return intensity + step * torch.as_tensor(low + (high - low) * share, dtype=intensity.dtype)
 
 
-def frames_within_steps(intensity: Tensor, seen: Tensor, step: float, least: Tensor, seed: int) -> Tensor:
+def frames_within_steps(
+    intensity: Tensor, seen: Tensor, step: float, least: Tensor, seed: int
+) -> tuple[Tensor, Tensor]:
     """Readings of several frames of one scene put back within their steps, each as it may have been.
 
     A beam has one level in all frames and noise that grows with it, of the size that all readings show. Of a beam
@@ -81,24 +83,31 @@ def frames_within_steps(intensity: Tensor, seen: Tensor, step: float, least: Ten
         seed: of the draws.
 
     Returns:
-        ``(K, N)``; ``in_steps`` makes ``intensity`` of it again.
+        ``(K, N)``, of which ``in_steps`` makes ``intensity`` again, and ``(N,)``, the relative variance of each level
+        that the readings leave open.
     """
     place = torch.round(intensity.double() / step)
+    # Rounded down, the mean of many beams follows the scale of a frame all the same. Levels are those at scale 1.
+    scale = _scales(place + 0.5, seen)[:, None]
     number = seen.double().sum(0).clamp_min(1.0)
-    level = torch.where(seen, place + 0.5, 0.0).sum(0) / number
-    spread = (_relative_spread(place + 0.5, seen) * level).clamp_min(NARROWEST)
-    detected = (least.double() / step).clamp_max(1e9)
-    first, last = (place + one for one in INSIDE_STEP)
-    first = torch.minimum(torch.maximum(first, detected), last)
-    low = torch.where(seen, first, torch.inf).amin(0).clamp_max(float(place.max()) + 1.0)
+    read = (place + 0.5) / scale
+    level = torch.where(seen, read, 0.0).sum(0) / number
+    spread = (_relative_spread(read, seen) * level).clamp_min(NARROWEST)
+    lowest, highest = place / scale, (place + 1.0) / scale
+    first, last = ((place + one) / scale for one in INSIDE_STEP)
+    first = torch.minimum(torch.maximum(first, (least.double() / step).clamp_max(1e9) / scale), last)
+    low = torch.where(seen, first, torch.inf).amin(0).clamp_max(float(highest.max()))
     high = torch.where(seen, last, -torch.inf).amax(0).maximum(low)
     tried = low + (high - low) * (torch.arange(PLACES, dtype=torch.float64) + 0.5)[:, None] / PLACES
     fits = _density(place[seen], tried).log()
-    for one, there in zip(place, seen, strict=True):
-        chance = _below((one + 1.0 - tried) / spread) - _below((one - tried) / spread)
-        fits += torch.where(there, chance.clamp_min(1e-12).log(), 0.0)
-    rising = (fits - fits.amax(0)).exp().cumsum(0)
-    rising = rising / rising[-1]
+    for row in range(len(place)):
+        chance = _below((highest[row] - tried) / spread) - _below((lowest[row] - tried) / spread)
+        fits += torch.where(seen[row], chance.clamp_min(1e-12).log(), 0.0)
+    chance = (fits - fits.amax(0)).exp()
+    rising = chance.cumsum(0)
+    chance, rising = chance / rising[-1], rising / rising[-1]
+    mean = (chance * tried).sum(0)
+    unsure = (chance * (tried - mean).square()).sum(0) / mean.square().clamp_min(1e-12)
     stream = keyed_stream(seed, "gap.frames_within_steps")
     found = torch.empty_like(place)
     for row in range(len(place)):
@@ -108,8 +117,15 @@ def frames_within_steps(intensity: Tensor, seen: Tensor, step: float, least: Ten
         start, end = (_below((one[row] - drawn) / spread) for one in (first, last))
         below = start + share * (end - start)
         value = drawn + spread * math.sqrt(2.0) * torch.erfinv((2.0 * below - 1.0).clamp(-1.0 + 1e-12, 1.0 - 1e-12))
-        found[row] = torch.minimum(torch.maximum(value, first[row]), last[row])
-    return torch.where(seen, (step * found).to(intensity.dtype), intensity)
+        found[row] = scale[row] * torch.minimum(torch.maximum(value, first[row]), last[row])
+    return torch.where(seen, (step * found).to(intensity.dtype), intensity), unsure
+
+
+def _scales(level: Tensor, seen: Tensor) -> Tensor:
+    """Scale ``(K,)`` of each frame over the mean of all, by the beams that every frame sees."""
+    both = seen.all(0)
+    total = level[:, both].sum(1)
+    return total / total.mean() if float(total.min()) > 0 else torch.ones_like(total)
 
 
 def _density(places: Tensor, levels: Tensor) -> Tensor:

@@ -51,6 +51,7 @@ class LidarScene:
     Args:
         range_m, intensity: ``(K, N)`` clear frames; readings within their steps.
         step: of readings, 0 where they have none (``reading_steps.py``).
+        unsure: ``(N,)`` relative variance of each beam's level that steps leave open; ``None`` where there are none.
         reference_range_m, reference_intensity: ``(K + 1, N)`` mean over the clear frames other than k, the last row
             over all; 0 where it is not defined.
         stable: ``(N,)`` beams that see a surface.
@@ -74,6 +75,7 @@ class LidarScene:
     range_m: Tensor
     intensity: Tensor
     step: float
+    unsure: Tensor | None
     reference_range_m: Tensor
     reference_intensity: Tensor
     stable: Tensor
@@ -112,11 +114,10 @@ def lidar_scene(
     step = reading_step(intensity[range_m > 0]) if with_intensity else 0.0
     # What frames are compared with follows from the readings alone: a place that was drawn within a step is one that
     # simulated frames share and measured ones do not.
-    read = torch.where(range_m > 0, intensity + 0.5 * step, intensity)
+    read, unsure = torch.where(range_m > 0, intensity + 0.5 * step, intensity), None
     if step > 0:
-        intensity = frames_within_steps(
-            intensity, range_m > 0, step, _least_detected(range_m, intensity, step, energy), 0
-        )
+        least = _least_detected(range_m, intensity, step, energy)
+        intensity, unsure = frames_within_steps(intensity, range_m > 0, step, least, 0)
     seen = (range_m > 0).double()
     # Row k leaves frame k out, the last row takes all; of a single frame, itself.
     keep = torch.ones(number + 1, number, dtype=torch.float64)
@@ -167,6 +168,7 @@ def lidar_scene(
         range_m=range_m,
         intensity=intensity,
         step=step,
+        unsure=unsure,
         reference_range_m=mean_range.float(),
         reference_intensity=mean_intensity.float(),
         stable=stable,

@@ -168,6 +168,10 @@ class LinkFrames:
         """No particles."""
         return 0.0
 
+    def left_open(self, condition: Condition) -> float:
+        """Nothing beside how clear hours differ."""
+        return 0.0
+
     def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Every weather is simulated as it is asked for."""
 

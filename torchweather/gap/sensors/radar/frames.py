@@ -195,6 +195,10 @@ class RadarFrames:
         """No particles that a model could misplace."""
         return 0.0
 
+    def left_open(self, condition: Condition) -> float:
+        """Nothing beside how clear frames differ."""
+        return 0.0
+
     def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Every weather is simulated as it is asked for."""
 
