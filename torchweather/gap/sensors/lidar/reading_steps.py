@@ -129,7 +129,7 @@ def _scales(level: Tensor, seen: Tensor) -> Tensor:
 
 
 def _density(places: Tensor, levels: Tensor) -> Tensor:
-    """How often levels are, above 0: linear between the middles of the steps, where it is the number of readings."""
+    """Relative frequency of levels, above 0: linear between the middles of the steps, where it counts the readings."""
     counts = torch.bincount(places.long(), minlength=2).double() + 0.5
     at = (levels - 0.5).clamp(0.0, len(counts) - 1.0)
     below = at.floor().long().clamp_max(len(counts) - 2)
