@@ -42,6 +42,8 @@ def test_a_step_is_found_wherever_readings_lie_on_one(step: float) -> None:
         torch.tensor([0.0, 0.0]),
         torch.tensor([]),
         torch.tensor([0.1, 0.2, 0.237]),
+        torch.tensor([0.1, 0.2, 0.5, 0.5, 0.3]),  # surfaces of a made-up scene
+        0.1 * torch.tensor([1.0, 2.0, 5.0, 9.0, 14.0, 20.0, 27.0, 35.0, 44.0, 54.0, 65.0]),
     ],
 )
 def test_there_is_no_step_where_readings_lie_on_none(readings: torch.Tensor) -> None:

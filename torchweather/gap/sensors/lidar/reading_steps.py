@@ -25,17 +25,19 @@ INSIDE_STEP = (0.002, 0.998)  # of a step, away from the rounding of float32 at 
 FINEST = 0.002
 PLACES = 24  # of a level between the ends of the steps that it was read in
 NARROWEST = 0.01  # standard deviation of a reading, in steps, however even they are
+FEWEST_LEVELS = 10  # values, below which a grid is no sign of rounding
 ON_GRID = 0.01  # of a step, by which a rounded float32 may lie beside it
 
 
 def reading_step(intensity: Tensor) -> float:
-    """The step of readings, in their unit; 0 where they lie on no grid, or on one too fine to matter.
+    """The step of readings, in their unit; 0 where they lie on no grid, on one too fine to matter, or are so few values
+    that a made-up scene may have them: most must have a neighbour one step off.
 
     Args:
         intensity: readings of returns, any shape; those of 0 say nothing.
 
     Example:
-        >>> reading_step(torch.tensor([0.0, 0.07, 0.31, 0.05, 0.06])), reading_step(torch.tensor([0.2, 0.31, 0.123456]))
+        >>> reading_step(0.01 * torch.arange(40.0)), reading_step(torch.tensor([0.1, 0.2, 0.5]))
         (0.01, 0.0)
     """
     values = intensity[intensity > 0].double()
@@ -44,12 +46,13 @@ def reading_step(intensity: Tensor) -> float:
     unique = torch.unique(values)
     apart = torch.diff(unique, prepend=unique.new_zeros(1))
     step = float(apart[apart > 1e-6 * unique[-1]].min())
-    if step < FINEST * float(values.median()):
+    if step < FINEST * float(values.median()) or len(unique) < FEWEST_LEVELS:
         return 0.0
     # The largest reading tells the step best.
     step = float(unique[-1] / torch.round(unique[-1] / step))
     places = unique / step
-    return round(step, 9) if bool(((places - places.round()).abs() < ON_GRID).all()) else 0.0
+    on_grid = bool(((places - places.round()).abs() < ON_GRID).all())
+    return round(step, 9) if on_grid and float((apart < 1.5 * step).double().mean()) > 0.5 else 0.0
 
 
 def within_steps(intensity: Tensor, step: float, seed: int) -> Tensor:
@@ -72,8 +75,8 @@ def frames_within_steps(
 
     A beam has one level in all frames and noise that grows with it, of the size that all readings show. Of a beam
     that reads the same in all frames the level lies anywhere in the step; where readings alternate, near the edge. For
-    each frame the level is drawn from its posterior on a grid of places that are alike beforehand, and the reading from
-    the normal law about the level, within its own step.
+    each frame the level is drawn from its posterior, in which levels are as frequent as the readings of all beams say,
+    and the reading from the normal law about the level, within its own step.
 
     Args:
         intensity: ``(K, N)`` on a grid of ``step``.
