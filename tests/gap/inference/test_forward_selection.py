@@ -19,7 +19,9 @@ from tests.gap.linear_simulator import DIRECTIONS, LinearSimulator, effect, stre
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
 from torchweather.gap.find import find_gap
+from torchweather.gap.inference import forward_selection
 from torchweather.gap.inference.candidate_fits import (
+    CLOSE,
     Candidate,
     _start,
     best_of_each_set,
@@ -38,6 +40,7 @@ from torchweather.gap.inference.forward_selection import (
     GapResult,
     _confusable,
     _earns,
+    _that_earn,
     _verdict,
     _without_idle,
     find_gap_with,
@@ -77,6 +80,11 @@ def likelihood_of(model: LinearSimulator) -> SimulatorLikelihood:
 
 def template(name: str, values: dict[str, float], response: Any) -> ResponseTemplate:
     return ResponseTemplate(ParameterGrid(EFFECTS[name], (values,)), 0, values, np.asarray(response, dtype=np.float64))
+
+
+def fit_of(values: dict[str, dict[str, float]], misfit: float) -> Any:
+    """A fit as far as candidates are compared."""
+    return SimpleNamespace(point=SimpleNamespace(values=values), misfit=misfit)
 
 
 NOTHING = Systematics(np.zeros((4, 1)), np.zeros(1), 1)
@@ -598,3 +606,39 @@ def test_an_effect_that_there_is_not_is_refused_before_anything_is_simulated(stu
     with pytest.raises(ValueError, match=r"effect must be one of .*Did you mean 'lidar.window_loss'"):
         find_gap(study, effects=["lidar.window_los"], progress=said.append)
     assert said == []
+
+
+@pytest.mark.parametrize(
+    ("name", "fresh", "elsewhere", "needs", "beside"),
+    [
+        ("lidar.range_noise", {"lidar.range_noise": 20.0}, 30.0, 20.0, 60.0),  # a quarter of its gain lies elsewhere
+        ("lidar.range_noise", {"lidar.range_noise": 20.0}, 20.0, 200.0, 60.0),  # fitted, it does something else
+        ("lidar.range_noise", {"lidar.range_noise": 200.0}, 0.0, 200.0, 60.0),  # explains most of what is left
+        ("lidar.range_noise", {}, 0.0, math.inf, 60.0),
+        ("lidar.threshold_shift", {}, 0.0, math.inf, 150.0),  # confused with a window
+    ],
+)
+def test_what_an_added_effect_must_gain(
+    name: str, fresh: dict[str, float], elsewhere: float, needs: float, beside: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second effect beside a window that gains 100."""
+    window = {"lidar.window_loss": {"loss_db": 1.0}}
+    best = Candidate("lidar.window_loss", fit_of(window, 500.0), 300.0)
+    added = Candidate(name, fit_of({**window, name: {}}, 400.0), 100.0)
+    asked: list[tuple[float, float]] = []
+    monkeypatch.setattr(forward_selection, "gained_elsewhere", lambda *some: elsewhere)
+    monkeypatch.setattr(forward_selection, "_earns", lambda s, b, a, own, least: asked.append((own, least)) or True)
+    search: Any = None
+    assert _that_earn(search, best, [added], fresh, 60.0, 200.0, 150.0) == [added]
+    assert asked == [(needs, beside)]
+
+
+def test_what_lies_far_behind_is_no_rival(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forward_selection, "_earns", lambda search, best, added, own, least: added.gain > 0)
+    best = Candidate("lidar.window_loss", fit_of({"lidar.window_loss": {}}, 500.0), 300.0)
+    names = ("lidar.range_noise", "lidar.crosstalk", "lidar.spray", "lidar.wet_target")
+    misfits = (380.0, 400.0, 400.0 + 0.9 * CLOSE, 401.0 + CLOSE)
+    added = [Candidate(one, fit_of({one: {}}, misfit), 1.0) for one, misfit in zip(names, misfits, strict=True)]
+    added[0] = replace(added[0], gain=-1.0)  # does not earn its place
+    search: Any = None
+    assert [one.id for one in _that_earn(search, best, added, {}, 60.0, 200.0, 150.0)] == [*names[1:3]]

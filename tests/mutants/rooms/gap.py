@@ -660,4 +660,20 @@ MUTANTS = (
             ),
         ),
     ),
+    Mutant(
+        "fitted_elsewhere_not_asked",
+        "an effect that shows where the first does nothing must gain there once it is fitted",
+        "torchweather.gap.inference.forward_selection",
+        "own = sure  # fitted, it does something else than show where those found do nothing",
+        "pass",
+        (f"{SELECTION}::test_what_an_added_effect_must_gain",),
+    ),
+    Mutant(
+        "confused_effects_named_beside_each_other",
+        "what the first effect is confused with must explain most of what is left",
+        "torchweather.gap.inference.forward_selection",
+        "beside_confused if confused else least",
+        "least",
+        (f"{SELECTION}::test_what_an_added_effect_must_gain",),
+    ),
 )

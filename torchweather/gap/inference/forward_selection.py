@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
@@ -249,18 +249,7 @@ def _rounds(
         if not proposed:
             return rounds
         more = _fitted_on_top(search, base, best, remaining, proposed, threshold, progress)
-        kept: list[Candidate] = []
-        for one in more:
-            # What lies far behind one that earned its place is no rival of it.
-            if kept and one.fit.misfit > kept[0].fit.misfit + CLOSE:
-                break
-            own = fresh.get(one.id, math.inf)
-            if own < sure and gained_elsewhere(search, best.fit, one.fit) < METHOD.fresh_share * one.gain:
-                own = sure  # fitted, it does something else than show where those found do nothing
-            # Another form of an effect than the stage's looks like what it is confused with, also beside it.
-            like = significant and any(_confusable(one.id, name) for name in values)
-            if _earns(search, best, one, own, max(least, excess) if like else least):
-                kept.append(one)
+        kept = _that_earn(search, best, more, fresh, least, sure, max(least, excess) if significant else least)
         if not kept:
             return rounds
         needful = _without_idle(search, kept[0], threshold)
@@ -272,6 +261,41 @@ def _rounds(
             rounds = [*rounds[: number - 1], [Candidate(kept[0].id, needful, earlier - needful.misfit), *others]]
         else:
             rounds.append(kept)
+
+
+def _that_earn(
+    search: SimulatorLikelihood,
+    best: Candidate,
+    added: Sequence[Candidate],
+    fresh: Mapping[str, float],
+    least: float,
+    sure: float,
+    beside_confused: float,
+) -> list[Candidate]:
+    """Fits with one effect more that earn its place, best first; none that lies far behind one that does.
+
+    Args:
+        search: its simulator.
+        best: what was found so far.
+        added: fits, best first.
+        fresh: what those must gain that need not compare with the first (``_on_top``).
+        least: what the others must gain, beside a share of what was explained where they act,
+        sure: or this, most of a residual that is no noise.
+        beside_confused: what an effect must gain that is confused with one of those found: another form of an effect
+            than the stage's looks like that, also beside it.
+    """
+    kept: list[Candidate] = []
+    for one in added:
+        # What lies far behind one that earned its place is no rival of it.
+        if kept and one.fit.misfit > kept[0].fit.misfit + CLOSE:
+            break
+        own = fresh.get(one.id, math.inf)
+        if own < sure and gained_elsewhere(search, best.fit, one.fit) < METHOD.fresh_share * one.gain:
+            own = sure  # fitted, it does something else than show where those found do nothing
+        confused = any(_confusable(one.id, name) for name in best.fit.point.values)
+        if _earns(search, best, one, own, beside_confused if confused else least):
+            kept.append(one)
+    return kept
 
 
 def _fitted_on_top(
