@@ -69,7 +69,7 @@ def within_steps(intensity: Tensor, step: float, seed: int) -> Tensor:
 
 
 def frames_within_steps(
-    intensity: Tensor, seen: Tensor, step: float, least: Tensor, seed: int
+    intensity: Tensor, seen: Tensor, step: float, least: Tensor, seed: int, *, one_level: bool = False
 ) -> tuple[Tensor, Tensor]:
     """Readings of several frames of one scene put back within their steps, each as it may have been.
 
@@ -84,6 +84,8 @@ def frames_within_steps(
         step: as of ``reading_step``.
         least: ``(N,)`` reading at the threshold of detection: what was seen lies above it.
         seed: of the draws.
+        one_level: draw the level of a beam once, as it is in a recording; else for each frame, so that frames differ by
+            what the readings leave open.
 
     Returns:
         ``(K, N)``, of which ``in_steps`` makes ``intensity`` again, and ``(N,)``, the relative variance of each level
@@ -115,8 +117,9 @@ def frames_within_steps(
     found = torch.empty_like(place)
     for row in range(len(place)):
         along, within, share = torch.from_numpy(stream.random(size=(3, place.shape[1])))
-        cell = (rising < along).sum(0).clamp_max(PLACES - 1)
-        drawn = low + (high - low) * (cell + within) / PLACES
+        if row == 0 or not one_level:
+            cell = (rising < along).sum(0).clamp_max(PLACES - 1)
+            drawn = low + (high - low) * (cell + within) / PLACES
         start, end = (_below((one[row] - drawn) / spread) for one in (first, last))
         below = start + share * (end - start)
         value = drawn + spread * math.sqrt(2.0) * torch.erfinv((2.0 * below - 1.0).clamp(-1.0 + 1e-12, 1.0 - 1e-12))

@@ -23,7 +23,7 @@ from torchweather.gap.sensors.lidar.reading_steps import frames_within_steps, re
 from torchweather.gap.study.study import StudyScene
 from torchweather.lidar.stages import ToEnergy
 
-__all__ = ["CLUSTER_M", "FAINTEST", "SAME_SURFACE_M", "LidarScene", "has_neighbour", "lidar_scene"]
+__all__ = ["CLUSTER_M", "FAINTEST", "SAME_SURFACE_M", "LidarScene", "has_neighbour", "least_detected", "lidar_scene"]
 
 RANGE_M = (0.0, 4.0, 8.0, 12.0, 17.0, 23.0, 30.0, 40.0, 55.0, 75.0, 110.0, 1000.0)
 MARGIN_DB = (-10.0, 0.7, 1.5, 2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 60.0)
@@ -116,7 +116,7 @@ def lidar_scene(
     # simulated frames share and measured ones do not.
     read, unsure = torch.where(range_m > 0, intensity + 0.5 * step, intensity), None
     if step > 0:
-        least = _least_detected(range_m, intensity, step, energy)
+        least = least_detected(range_m, intensity, step, energy)
         intensity, unsure = frames_within_steps(intensity, range_m > 0, step, least, 0)
     seen = (range_m > 0).double()
     # Row k leaves frame k out, the last row takes all; of a single frame, itself.
@@ -187,7 +187,7 @@ def lidar_scene(
     )
 
 
-def _least_detected(range_m: Tensor, intensity: Tensor, step: float, energy: ToEnergy) -> Tensor:
+def least_detected(range_m: Tensor, intensity: Tensor, step: float, energy: ToEnergy) -> Tensor:
     """Reading ``(N,)`` at the threshold of detection, within the lowest step in which a beam was read."""
     lowest = torch.where(range_m > 0, intensity, torch.inf).amin(0)
     lowest = torch.where(lowest.isfinite(), lowest, 0.0)
