@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,8 +11,11 @@ import pytest
 
 from torchweather.atmosphere.weather import Rain
 from torchweather.core.errors import TorchweatherError
+from torchweather.gap import find_gap
 from torchweather.gap.study.hidden import HiddenStudy
 from torchweather.gap.study.hidden_sweeps import SweepNoise, hidden_in_sweeps, sweep_noise
+from torchweather.gap.study.scan_grid import scan_frame
+from torchweather.io import read_points
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.sensors import Lidar
 
@@ -116,3 +121,19 @@ def test_what_is_missing_is_said() -> None:
     moving = [{"range_m": np.full(GRID, 5.0 + 2.0 * k), "intensity": np.full(GRID, 0.3)} for k in range(3)]
     with pytest.raises(TorchweatherError, match="consecutive frames of a sensor that stands still"):
         sweep_noise(moving)
+
+
+@pytest.mark.parametrize(("loss_db", "named"), [(0.0, []), (1.5, ["lidar.window_loss"])])
+def test_a_wet_window_is_found_in_a_sweep_of_kitti(
+    loss_db: float, named: list[str], real_data: Callable[[str], Path]
+) -> None:
+    """Readings in hundredths, surfaces of a street, some of its columns; three effects may be named."""
+    sensor = Lidar.preset("velodyne-hdl-64e", columns=128, intensity_unit="reflectivity")
+    frame, _ = scan_frame(read_points(real_data("kitti_13/velodyne/000008.bin")), sensor, "000008")
+    effects = [WINDOW(loss_db=loss_db)] if loss_db else []
+    rain = (Rain(20.0), Rain(60.0), Rain(40.0), Rain(100.0))
+    made = hidden_in_sweeps({"street": [frame]}, sensor, effects, rain, noise=SweepNoise(0.02, 0.03))
+    report = find_gap(made.study, effects=["lidar.window_loss", "lidar.threshold_shift", "lidar.extinction_scale"])
+    assert [one["name"] for one in report.answer["effects"]] == named
+    if named:
+        assert report.answer["effects"][0]["parameters"]["loss_db"] == pytest.approx(1.5, abs=0.1)

@@ -676,4 +676,20 @@ MUTANTS = (
         "least",
         (f"{SELECTION}::test_what_an_added_effect_must_gain",),
     ),
+    Mutant(
+        "recorded_frames_on_both_sides",
+        "a recorded frame stands for clear air or is put into weather, never both",
+        "torchweather.gap.study.hidden_sweeps",
+        "return every[0::2], levels[1::2], step",
+        "return every[0::2], levels[0::2], step",
+        (("tests/gap/study/test_hidden_sweeps.py::test_frames_that_stand_for_clear_air_are_put_into_no_weather"),),
+    ),
+    Mutant(
+        "noise_of_differences_taken_for_that_of_frames",
+        "the mean difference of two normal numbers is 2 / sqrt(pi) of their standard deviation",
+        "torchweather.gap.study.hidden_sweeps",
+        "one_sd = 0.5 * math.sqrt(math.pi)",
+        "one_sd = 1.0",
+        (("tests/gap/study/test_hidden_sweeps.py::test_the_noise_of_consecutive_frames_is_measured_also_in_steps"),),
+    ),
 )
