@@ -64,8 +64,8 @@ MUTANTS = (
         "rounded_twice",
         "weather is put on intensities as they were before the sensor rounded them",
         "torchweather.gap.sensors.lidar.study_kind",
-        "levels + share, 0.0",
-        "levels + 0.5, 0.0",
+        "put_back = within_steps(levels.reshape(-1), 1.0, seed).reshape(levels.shape)",
+        "put_back = levels + 0.5",
         ("tests/gap/study/test_simulation.py::test_integers_are_rounded_once",),
     ),
     Mutant(
