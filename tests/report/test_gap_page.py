@@ -299,10 +299,13 @@ def test_the_map_shows_numbers_and_leaves_out_what_never_counts(study: Study) ->
 
 def test_the_map_has_the_largest_departure_in_its_own_unit_beside_it() -> None:
     groups = (("lost_share", "range_m"), ("log_intensity_ratio", "frame"), ("lost_share", "azimuth_rad"))
-    largest = (BinDeparture(3.21, "% of beams", 17.0, 23.0), BinDeparture(-0.5, "dB", 0.0, 1.0), None)
-    picture = svg(residual_uri(ResidualMap(groups, ("c0",), np.array([[12.3], [2.0], [1.0]]), None, largest)))
+    groups += (("particles", "azimuth_rad"),)
+    nothing = BinDeparture(4.51e-16, "% of beams", 0.0, 1.0)  # of a row that departs nowhere
+    largest = (BinDeparture(3.21, "% of beams", 17.0, 23.0), BinDeparture(-0.5, "dB", 0.0, 1.0), None, nothing)
+    picture = svg(residual_uri(ResidualMap(groups, ("c0",), np.array([[12.3], [2.0], [1.0], [0.01]]), None, largest)))
     shown = re.findall(r"<!-- (.*?) -->", picture)
     assert {"+3.21 % of beams, 17 to 23 m", "−0.500 dB", "as it is: the largest, measured less simulated"} <= set(shown)
+    assert not any("4.51" in text for text in shown)
 
 
 def test_a_response_is_drawn_for_the_measurement_and_every_effect() -> None:

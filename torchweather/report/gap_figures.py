@@ -37,6 +37,7 @@ ROOM = 1.25
 # Of the effects of a response figure, the best first; told apart without colour by their dashes.
 LINES = (("#1c7ed6", "-"), ("#e8590c", (0, (5, 2))), ("#2b8a3e", (0, (2, 1.5))), ("#862e9c", (0, (5, 1.5, 1, 1.5))))
 SHORT = 9.95  # from which a number of a map has no decimals
+NO_DEPARTURE = 0.05  # standard deviations, of a row of a map
 LARGEST = "as it is: the largest, measured less simulated"
 LETTER = 0.073  # inch, of a label of a map
 # Root mean square departures of a map: where its colours begin (chance) and end.
@@ -124,7 +125,12 @@ def residual_uri(residuals: ResidualMap) -> str:
     # Wide enough for the title of a panel.
     cell, row = max(0.55, 1.7 / columns), 0.235
     left = 0.2 + LETTER * max(map(len, labels), default=0)
-    natural = [_in_own_unit(*group, one) for group, one in zip(residuals.groups, residuals.largest, strict=False)]
+    # A row that shows 0.0 everywhere has no departure to speak of.
+    quiet = [not bool((row[np.isfinite(row)] >= NO_DEPARTURE).any()) for row in residuals.before]
+    natural = [
+        _in_own_unit(*group, None if none else one)
+        for group, one, none in zip(residuals.groups, residuals.largest, quiet, strict=False)
+    ]
     natural = [one for one, keep in zip(natural, shown, strict=False) if keep]
     right = 0.1 + LETTER * max(len(one) for one in (*natural, LARGEST)) if natural else 0.0
     width = left + len(panels) * (columns * cell + 0.3) + right
