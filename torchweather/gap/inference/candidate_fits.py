@@ -238,10 +238,15 @@ def stands_far(point: ParameterPoint) -> bool:
 
 
 def fitted(
-    search: SimulatorLikelihood, base: Fit, proposed: Sequence[Proposal], misfit: float, progress: Callable[[str], None]
+    search: SimulatorLikelihood,
+    base: Fit,
+    proposed: Sequence[Proposal],
+    misfit: float,
+    progress: Callable[[str], None],
+    profiled: int = PROFILED_BESIDE,
 ) -> list[Candidate]:
     """Effects fitted in the simulator, each on top of its point; best first. One at least, and no further one once as
-    many frames were simulated as may be."""
+    many frames were simulated as may be. Beside the first few, ``profiled``, the nuisances are fitted anew."""
     found: list[Candidate] = []
     for place, (point, template, amplitude) in enumerate(proposed):
         if found and search.exhausted:
@@ -251,14 +256,14 @@ def fitted(
         starts = [(replace(point, values=values), base.nuisance)]
         response = template.response
         shadowed = response @ base.nuisance(response) < SHADOWED[stands_far(point)] * (response @ response)
-        if shadowed and place < PROFILED_BESIDE and not point.values:
+        if shadowed and place < profiled and not point.values:
             # The nuisances have moved to look like the effect while it was not there: profile over them beside it.
             starts.append(_profiled_along(search, base, point, template, misfit))
         fits = []
         for start, nuisance in starts:
             fits.append(search.fit(located(search, start, template.id, base), nuisance, base.base, QUICK))
         fit = min(fits, key=lambda one: one.misfit)
-        if stands_far(fit.point) and place < PROFILED_BESIDE and not point.values:
+        if stands_far(fit.point) and place < profiled and not point.values:
             # The nuisances may have settled in a wrong place: profile over them from zero beside the effect as found.
             start, nuisance, _ = search.profile_beside(ParameterPoint(fit.point.values), base, PROFILE_ROUNDS)
             fit = min(fit, search.fit(start, nuisance, base.base, QUICK), key=lambda one: one.misfit)

@@ -190,6 +190,7 @@ def _singles(
         [(search.origin, template, amplitude) for template, amplitude in best],
         global_test.misfit,
         progress,
+        number,
     )
     for own, proposal in scattering(search, base, global_test.templates, global_test.threshold):
         promised.add(proposal[1].id)
