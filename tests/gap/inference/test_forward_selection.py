@@ -22,6 +22,7 @@ from torchweather.gap.find import find_gap
 from torchweather.gap.inference import forward_selection
 from torchweather.gap.inference.candidate_fits import (
     CLOSE,
+    PROFILED_BESIDE,
     Candidate,
     _start,
     best_of_each_set,
@@ -34,6 +35,7 @@ from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.forward_selection import (
     HELD_GAIN,
     HELD_LOSS,
+    REFITTED,
     RESIDUAL_SHARE,
     SURE_GAIN,
     UNKNOWN_SHARE,
@@ -642,3 +644,17 @@ def test_what_lies_far_behind_is_no_rival(monkeypatch: pytest.MonkeyPatch) -> No
     added[0] = replace(added[0], gain=-1.0)  # does not earn its place
     search: Any = None
     assert [one.id for one in _that_earn(search, best, added, {}, 60.0, 200.0, 150.0)] == [*names[1:3]]
+
+
+def test_beside_all_candidates_of_an_alarm_the_nuisances_are_fitted_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The right effect may come third or fourth, where what is open has gone far."""
+    asked: list[int] = []
+
+    def fitted(*given: Any) -> list[Candidate]:
+        asked.append(given[5] if len(given) > 5 else PROFILED_BESIDE)
+        return original(*given)
+
+    original = forward_selection.fitted
+    monkeypatch.setattr(forward_selection, "fitted", fitted)
+    searched((WINDOW, 0.5))
+    assert asked[0] == REFITTED > PROFILED_BESIDE

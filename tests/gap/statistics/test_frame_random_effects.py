@@ -261,8 +261,8 @@ def test_two_frames_that_are_alike_by_chance_make_no_steady_clock() -> None:
     layout = Layout((Group("apart", "x", "mean", (0.0, 1.0)),), (), (), ())
     model: Any = SimpleNamespace(layout=layout, clear=frames)
     (even,) = (one.entries for one in frame_departures(model, measured) if one.even)
-    # A departure from the mean of two frames has half the noise in square, and is counted as one of the mean of both,
-    # which halves it again. Twice the scatter of a variance with two degrees of freedom is 2.
+    # The departure of a frame from the mean of two has half of a frame's variance. The error is that of the mean of
+    # both frames, which is half of that. Twice the scatter of a variance with two degrees of freedom is 2.
     assert even[0] ** 2 == pytest.approx(widened(2) * 2.0 * 0.25 / 1024, rel=0.1)
 
 

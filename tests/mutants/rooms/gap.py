@@ -692,4 +692,15 @@ MUTANTS = (
         "one_sd = 1.0",
         (("tests/gap/study/test_hidden_sweeps.py::test_the_noise_of_consecutive_frames_is_measured_also_in_steps"),),
     ),
+    Mutant(
+        "nuisances_fitted_anew_beside_two_of_an_alarm",
+        "beside all candidates of an alarm the nuisances are fitted anew",
+        "torchweather.gap.inference.forward_selection",
+        """        progress,
+        number,
+    )""",
+        """        progress,
+    )""",
+        (f"{SELECTION}::test_beside_all_candidates_of_an_alarm_the_nuisances_are_fitted_anew",),
+    ),
 )

@@ -64,7 +64,7 @@ MUTANTS = (
         "rounded_twice",
         "weather is put on intensities as they were before the sensor rounded them",
         "torchweather.gap.sensors.lidar.study_kind",
-        "put_back = within_steps(levels.reshape(-1), 1.0, seed).reshape(levels.shape)",
+        "put_back = within_steps(levels, 1.0, seed)",
         "put_back = levels + 0.5",
         ("tests/gap/study/test_simulation.py::test_integers_are_rounded_once",),
     ),

@@ -26,10 +26,10 @@ from torchweather.core.errors import TorchweatherError, check_at_least
 from torchweather.core.random import keyed_stream
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap.sensors.lidar.reading_steps import frames_within_steps, in_steps, reading_step
-from torchweather.gap.sensors.lidar.scene import least_detected
+from torchweather.gap.sensors.lidar.scene import SAME_SURFACE_M, least_detected
 from torchweather.gap.study.folders import study_from_folders
 from torchweather.gap.study.frames import Frame
-from torchweather.gap.study.hidden import HELD_OUT, MARGIN_DB, WEATHERS, HiddenStudy
+from torchweather.gap.study.hidden import FRAME_STEP_S, HELD_OUT, MARGIN_DB, WEATHERS, HiddenStudy
 from torchweather.gap.study.splits import FIT, HOLDOUT
 from torchweather.gap.study.study import Study
 from torchweather.lidar.sensor import Lidar
@@ -41,8 +41,6 @@ __all__ = ["SweepNoise", "hidden_in_sweeps", "sweep_noise"]
 
 ENOUGH_FRAMES = 4  # recorded by a standing sensor: two that stand for clear air, two for the noise in weather
 DRAWN_CLEAR = 8  # clear frames that are drawn about one recorded sweep
-SAME_SURFACE_M = 0.35  # as the search has it
-FRAME_STEP_S = 0.1
 LEAST_M = 0.01  # a return lies in front of the sensor, noise and all
 
 
@@ -124,10 +122,10 @@ def hidden_in_sweeps(
         directions: ``(H, W, 3)`` unit vectors; ``None`` takes those of the folder's organised clouds or the sensor's.
         frames: of each condition, 1 or more.
         rel_sd: stated relative standard deviation of the record, by which the true weather is off.
-        seed: of all that is drawn; the record's error does not depend on the effects.
+        seed: fixes all draws. The error of the record is the same whatever the effects are.
 
     Returns:
-        `HiddenStudy`: the study, the effects, and by how much each record is off.
+        The study, with the effects and the true weather over the recorded one (`HiddenStudy`).
 
     Raises:
         TorchweatherError: too few weathers, or a scene of fewer than four frames without ``noise``.

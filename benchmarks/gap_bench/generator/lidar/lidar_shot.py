@@ -60,9 +60,10 @@ class Shot:
         weather: as it truly is.
         time_s: ``(F,)``.
         rng: of the effects' draws.
-        beam_density: ``(N,)`` number of particles in a beam over that of the weather; ``None`` is 1.
         drops_rng, target_rng, echo_rng, report_rng: of the particles, and of the noise of targets, of other echoes and
             of what is reported: apart, so that an effect leaves the draws of the others where they were.
+        beam_density: ``(N,)`` number of particles in a beam over that of the weather; ``None`` is 1.
+        near_full_m, near_power: of the share of the light of particles that the receiver takes (`particle_gain`).
     """
 
     view: View

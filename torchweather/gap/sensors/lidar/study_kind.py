@@ -256,7 +256,7 @@ def _unrounded(clear: Frame, lidar: Lidar, seed: int) -> Array:
     are lost that a sensor keeps.
     """
     levels = torch.from_numpy(np.asarray(clear["intensity"], dtype=np.float64))
-    put_back = within_steps(levels.reshape(-1), 1.0, seed).reshape(levels.shape)
+    put_back = within_steps(levels, 1.0, seed)
     within = torch.where(torch.from_numpy(np.asarray(clear["range_m"]) > 0), put_back, 0.0).float()
     return reflectivity_from_intensity(within, lidar.intensity_unit, lidar.assumed_reflectivity).numpy()
 
