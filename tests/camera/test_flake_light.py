@@ -63,6 +63,21 @@ def test_a_clear_sky_that_darkens_upwards_counts_as_even() -> None:
     assert float(sky_gradient(state_of(*frame(-0.5)))) == 0.0
 
 
+def test_cells_of_a_mosaic_that_are_sky_in_part_show_no_gradient() -> None:
+    """Roofs whose edges cross the cells, dark before an even sky: cells that both share are neither."""
+    light, depth = frame(0.0)
+    roofs = (torch.arange(HEIGHT)[:, None] + (torch.arange(WIDTH) // 3) % 9) > 57
+    light, depth = torch.where(roofs, 0.02, light), torch.where(roofs & depth.isinf(), 30.0, depth)
+    for sky in (None, (~roofs).float()[None, None]):
+        scene = {} if sky is None else {"sky": sky}
+        state = BayerSnow(Snow(1.0), camera()).state_of(light[:, :1], depth).changed(**scene)
+        assert float(sky_gradient(state)) == pytest.approx(0.0, abs=1e-5)  # with such cells 0.06
+        sine = state.scene.sine_elevation
+        assert sine is not None
+        seen = state.changed(signal=state.image.signal * torch.where(roofs, 1.0, 1.0 + 0.7 * sine))
+        assert float(sky_gradient(seen)) == pytest.approx(0.7, rel=1e-3)
+
+
 def test_without_ground_in_the_frame_asphalt_stands_in() -> None:
     light, depth = frame(0.0)
     up = CameraState.of(**{name: state_of(light, depth).field(name) for name in ("signal", "depth_m", "intrinsics")},

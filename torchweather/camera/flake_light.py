@@ -20,6 +20,7 @@ GROUND_ALBEDO = 0.1
 """Of asphalt, for the light from below where the frame shows no ground."""
 OVERCAST_GRADIENT = 2.0  # zenith over horizon less 1 of the CIE overcast sky, the steepest of grey skies
 LEAST_SPREAD = 0.02  # of the sine of the elevations, standard deviation, over which a sky shows a gradient
+PARTLY_SKY = 0.75  # share of a cell of the mosaic: three of its four pixels, beside one that shows something else
 
 
 def flake_light(state: CameraState, horizon: Tensor) -> Tensor:
@@ -107,7 +108,7 @@ def sky_gradient(state: CameraState) -> Tensor:
     if state.scene.sine_elevation is None:
         return signal.new_zeros(signal.shape[0], 1)
     up = thinned(state, state.scene.sine_elevation, STRIDES_PX).to(signal).mean(1)
-    weight = _sky(state).to(signal).mean(1)
+    weight = _sky(state).to(signal)
     weight = (weight / weight.sum(1, keepdim=True).clamp_min(1e-12)).expand_as(signal)
     up_mean, mean = (weight * up).sum(1, keepdim=True), (weight * signal).sum(1, keepdim=True)
     spread = (weight * (up - up_mean).square()).sum(1, keepdim=True)
@@ -122,9 +123,11 @@ def _gradient_of_graph(state: CameraState, sine_elevation: Tensor) -> Tensor:
     maps = [sine_elevation.to(signal), signal, sky]
     if state.receiver.cfa_index is None:
         rows = torch.cat([thinned(state, one, STRIDES_PX).mean(1) for one in maps])
+        values, weight = parts_of(rows, (2, 1))
     else:  # means over the places of some cells
         rows = torch.nn.functional.avg_pool2d(torch.cat(maps), 2, STRIDES_PX).flatten(1)
-    values, weight = parts_of(rows, (2, 1))
+        values, share = parts_of(rows, (2, 1))
+        weight = (share - PARTLY_SKY).clamp_min(0.0)
     weight = weight / weight.sum(1, keepdim=True).clamp_min(1e-12)
     means = (weight * values).sum(1, keepdim=True)
     off = values - means
@@ -143,7 +146,13 @@ def _gradient(up_mean: Tensor, mean: Tensor, spread: Tensor, both: Tensor) -> Te
 
 
 def _sky(state: CameraState) -> Tensor:
-    """Share of sky of the thinned pixels, ``(1 or B, 4 or 1, n)``."""
+    """Share of sky of the thinned pixels, ``(1 or B, n)``; of a mosaic's cells, of those that are sky as a whole.
+
+    Light of a cell that is sky in part is darker, and lies low: an even sky would show a gradient.
+    """
     if state.scene.sky is not None:
-        return thinned(state, state.scene.sky, STRIDES_PX)
-    return torch.isinf(thinned(state, state.scene.depth_m, STRIDES_PX)).float()
+        sky = thinned(state, state.scene.sky, STRIDES_PX)
+    else:
+        sky = torch.isinf(thinned(state, state.scene.depth_m, STRIDES_PX)).float()
+    share = sky.mean(1)
+    return share if state.receiver.cfa_index is None else (share - PARTLY_SKY).clamp_min(0.0)

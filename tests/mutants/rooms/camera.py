@@ -501,6 +501,14 @@ MUTANTS = (
         ("tests/camera/particles/test_off_axis.py::test_cover_at_the_corner_is_that_of_the_rays",),
     ),
     Mutant(
+        "cells_of_roof_and_sky_are_sky",
+        "the gradient of a sky is that of cells which show nothing else",
+        "torchweather.camera.flake_light",
+        "return share if state.receiver.cfa_index is None else (share - PARTLY_SKY).clamp_min(0.0)",
+        "return share",
+        ("tests/camera/test_flake_light.py::test_cells_of_a_mosaic_that_are_sky_in_part_show_no_gradient",),
+    ),
+    Mutant(
         "flakes_lit_by_the_horizon_alone",
         "half of a flake's light comes from the ground",
         "torchweather.camera.flake_light",

@@ -160,7 +160,9 @@ def _frame(shot: Shot, effects: tuple[Effect, ...]) -> FloatArray:
             effect.on_streaks(shot, streaks)
         covered = -np.expm1(-optical_depth(street, streaks, shot.rng))[..., None]
         if shot.weather.kind == "snow":
-            colour = FLAKE_ALBEDO * shot.sky
+            # From all around, half of it from the ground and what stands on it.
+            ground = light[street.eye.rays[1] > 0.0].mean(0)
+            colour = 0.5 * FLAKE_ALBEDO * (shot.sky + ground)
         else:
             colour = (1.0 - DROP_SKY) * light.mean((0, 1)) + DROP_SKY * shot.sky
         light = np.maximum(light + shot.contrast * covered * (colour - light), 0.0)

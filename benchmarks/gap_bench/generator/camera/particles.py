@@ -1,9 +1,10 @@
 """Drops and flakes in front of the camera: drawn from the size distribution, each with the streak of its exposure.
 
 A particle of diameter D at depth z covers a disk of ``f D / z`` px that moves ``f v t / z`` px while the shutter is
-open. Wide streaks are drawn one by one from the convolution of disk and path, narrow ones as boxes. Where a class of
-size and depth has very many, their numbers are drawn pixel by pixel. What peaks below a share of the exposure is a
-smooth veil of the mean optical depth.
+open; off the axis, seen along a ray that is longer than its depth, the disk is larger by as much in its area. Wide
+streaks are drawn one by one from the convolution of disk and path, narrow ones as boxes. Where a class of size and
+depth has very many, their numbers are drawn pixel by pixel. What peaks below a share of the exposure is a smooth veil
+of the mean optical depth.
 """
 
 from __future__ import annotations
@@ -152,7 +153,8 @@ def draw(
     row = rng.uniform(-side, eye.height + side)
     diameter = 1e-3 * found.diameter_mm[size]
     down = found.speed_m_per_s[size] * EXPOSURE_S * focal / depth
-    width_px = diameter * focal / depth
+    x, y = (column - 0.5 * (eye.width - 1)) / focal, (row - 0.5 * (eye.height - 1)) / focal
+    width_px = diameter * focal / depth * (1.0 + x**2 + y**2) ** 0.25
     return Streaks(
         column, row, depth, width_px, np.zeros_like(down), down, np.ones_like(down), crowds, 0.0, veil, edges
     )
@@ -178,10 +180,10 @@ def optical_depth(street: Street, streaks: Streaks, rng: np.random.Generator) ->
     eye = street.eye
     depth = np.minimum(street.depth_m, FAR_M)
     upto = np.concatenate([[0.0], np.cumsum(streaks.veil_per_m * np.diff(streaks.veil_edges_m))])
-    total = np.interp(depth, streaks.veil_edges_m, upto)
+    total = np.interp(depth, streaks.veil_edges_m, upto) * street.ray_per_depth
     for crowd in streaks.crowds:
         before = np.clip((depth - crowd.near_m) / (crowd.far_m - crowd.near_m), 0.0, 1.0)  # share of the layer
-        total += _counted(crowd, street, streaks.slant, rng) * before
+        total += _counted(crowd, street, streaks.slant, rng) * street.ray_per_depth * before
     narrow = np.maximum(streaks.width_px, 0.0) < WIDE_PX
     _splat(total, street.depth_m, streaks, narrow)
     inside = (np.abs(streaks.column_px - 0.5 * eye.width) < 0.5 * eye.width + streaks.width_px + 64) & (

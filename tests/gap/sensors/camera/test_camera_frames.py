@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from tests.gap.tiny_camera_study import CAMERA, CLEAR, ELECTRONS, HEIGHT, SPLITS, WEATHERS, WIDTH, values_of, view
 from torchweather.atmosphere.weather import Fog, Rain
 from torchweather.camera.effects.all import EFFECTS
+from torchweather.camera.state import CameraState
 from torchweather.core.errors import TorchweatherError
 from torchweather.evaluation.fit import fit_weather
 from torchweather.evaluation.validation.run import validate
@@ -21,7 +24,7 @@ from torchweather.gap import Study, find_gap
 from torchweather.gap.inference.simulated_distribution import FrameModel
 from torchweather.gap.sensors.camera.edges import SHARED_CELLS, lag_name
 from torchweather.gap.sensors.camera.frames import CameraFrames
-from torchweather.gap.sensors.camera.particles import LEAST_STEP, Rendered
+from torchweather.gap.sensors.camera.particles import LEAST_STEP, REACH_STEP, Rendered
 from torchweather.gap.sensors.camera.scene import (
     DARKEST,
     DEPTH_CLASSES_M,
@@ -415,7 +418,15 @@ def test_particles_can_be_rendered_about_the_farthest_weather(kind: str) -> None
     assert brightness[1] == pytest.approx(brightness[0], rel=0.02)
 
 
-@pytest.mark.parametrize(("name", "value"), [("particle_reach_m", 14.1), ("path_tangent", 0.31), ("row_time_s", 2e-5)])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("particle_reach_m", 200.0 * math.exp(-27 * REACH_STEP)),
+        ("particle_reach_m", math.inf),
+        ("path_tangent", 0.31),
+        ("row_time_s", 2e-5),
+    ],
+)
 def test_what_moves_particles_is_rendered_as_the_stage_does(name: str, value: float) -> None:
     camera = replace(CAMERA, exposure_s=0.02)
     stage = ParticleVeil([Rain(40.0)], camera, ambient=0.4)
@@ -425,9 +436,30 @@ def test_what_moves_particles_is_rendered_as_the_stage_does(name: str, value: fl
     noise = stage.draw(moved, seed=torch.tensor([1, 2]), name=stage.default_name)
     exact, other = stage(moved, noise), Rendered(stage, condition)(moved, 0.0, [1, 2])
     torch.testing.assert_close(other.image.particle_mask, exact.image.particle_mask, rtol=2e-3, atol=1e-6)  # float16
-    assert not torch.allclose(
-        stage(moved.changed(**{name: None}), noise).image.particle_mask, exact.image.particle_mask
-    )
+    without = stage(moved.changed(**{name: None}), noise).image.particle_mask
+    assert torch.allclose(without, exact.image.particle_mask) is (value == math.inf)
+
+
+def test_particles_that_end_between_two_rendered_depths_are_those_of_both() -> None:
+    camera = replace(CAMERA, exposure_s=0.02)
+    stage = ParticleVeil([Rain(40.0)], camera, ambient=0.4)
+    rendered = Rendered(stage, Study.from_arrays(**values_of(kind="rain")).fit[1])
+    state = BayerWeather(Rain(40.0), camera, depth=500.0).state_of(torch.full((2, 1, HEIGHT, WIDTH), 0.3))
+    ends = torch.exp(torch.tensor([-27.0, -26.5, -26.0]) * REACH_STEP) * 200.0
+
+    def covered(make: Callable[[CameraState], CameraState], end_m: Tensor) -> Tensor:
+        mask = make(state.changed(keep_truth=True, particle_reach_m=end_m.expand(2))).image.particle_mask
+        assert mask is not None
+        return -torch.log1p(-mask)
+
+    low, middle, high = (covered(lambda one: rendered(one, 0.0, [1, 2]), end_m) for end_m in ends)
+    part = float((ends[1] - ends[0]) / (ends[2] - ends[0]))
+    torch.testing.assert_close(middle, (1 - part) * low + part * high, rtol=2e-3, atol=1e-5)  # float16
+    # Beside the stage itself: as many particles, of which those that one of both has more are seen in part.
+    noise = stage.draw(state, seed=torch.tensor([1, 2]), name=stage.default_name)
+    exact = covered(lambda one: stage(one, noise), ends[1])
+    assert float(middle.mean() / exact.mean()) == pytest.approx(1.0, abs=0.01)
+    assert float(middle.var() / exact.var()) == pytest.approx(1.0, abs=0.05)
 
 
 def test_drops_on_the_window_stay_over_the_frames_of_a_condition(model: CameraFrames) -> None:

@@ -1,8 +1,9 @@
 """Cover of a camera's frames by particles: rendered at a few rates for each seed, and taken between them.
 
-The optical depth of drops and flakes grows with their number; between two neighbouring rates, and between two numbers
-of particles, it is taken as a line. The few particles that one of the two has more are then seen in part: at steps of
-``exp(0.1)`` in the rate one particle in ten. What moves particles, or ends them at a depth, is rendered as it is.
+The optical depth of drops and flakes grows with their number and with the depth at which they end; between two
+neighbouring rates, two numbers of particles and two such depths it is taken as a line. The few particles that one of
+the two has more are then seen in part: at steps of ``exp(0.1)`` in the rate one particle in ten. What moves particles
+is rendered as it is.
 """
 
 from __future__ import annotations
@@ -21,13 +22,14 @@ from torchweather.camera.particles.veil import ParticleVeil
 from torchweather.camera.state import CameraState
 from torchweather.gap.study.study import Condition
 
-__all__ = ["LEAST_STEP", "MOST_STEP", "Rendered"]
+__all__ = ["LEAST_STEP", "MOST_STEP", "REACH_STEP", "Rendered"]
 
 LEAST_STEP, MOST_STEP = 0.04, 0.12  # of the logarithm of the rate between two that are rendered
 COUNT_STEP = 0.2  # of that of the number of particles
+REACH_STEP = 0.1  # of that of the depth at which they end, from where the model's own end
 LEAST_COUNT = math.exp(-10 * COUNT_STEP)  # fewer are those, fainter
-KEPT_BYTES = 100e6  # of optical depths, of a condition
-WAYS = ("particle_reach_m", "path_tangent", "row_time_s")  # fields of the state that move particles
+KEPT_BYTES = 200e6  # of optical depths, of a condition
+WAYS = ("path_tangent", "row_time_s")  # fields of the state that move particles
 ALIKE = 1e-6  # of a step: a rate that is one of those rendered
 
 
@@ -82,18 +84,31 @@ class Rendered:
             return total
         more = max(count, LEAST_COUNT)
         way = {name: float(given[0]) for name in WAYS if (given := state.field(name)) is not None}
+        log_reach = self._log_reach(state)
         if way:  # seldom twice the same
-            rendered = self._render(state, log_intensity, math.log(more), way, seeds)
+            rendered = self._render(state, log_intensity, math.log(more), log_reach, way, seeds)
             return rendered.float().mul_(count / more)
-        steps, counts = _between(log_intensity - self.log_rate, self.step), _between(math.log(more), COUNT_STEP)
-        for (rate, share), (number, part) in itertools.product(steps, counts):
-            nodes = self._nodes(state, round(self.log_rate + rate * self.step, 12), number, seeds)
-            total.add_(torch.stack([nodes[seed] for seed in seeds]).float(), alpha=share * part)
+        axes = (
+            _between(log_intensity - self.log_rate, self.step),
+            _between(math.log(more), COUNT_STEP),
+            _between(log_reach, REACH_STEP),
+        )
+        for (rate, share), (number, part), (end, piece) in itertools.product(*axes):
+            nodes = self._nodes(state, round(self.log_rate + rate * self.step, 12), number, end, seeds)
+            total.add_(torch.stack([nodes[seed] for seed in seeds]).float(), alpha=share * part * piece)
         return total.mul_(count / more)
 
-    def _nodes(self, state: CameraState, log_rate: float, number: int, seeds: list[int]) -> dict[int, Tensor]:
-        """Optical depth ``(1, H, W)`` of each seed at one of the rates and numbers that are rendered, as float16."""
-        key = (log_rate, number)
+    def _log_reach(self, state: CameraState) -> float:
+        """Logarithm of the depth at which the particles of all frames end over the model's own end, 0 or less."""
+        if state.air.particle_reach_m is None:
+            return 0.0
+        (part,) = self.stage.parts
+        reach_m = min(max(float(state.air.particle_reach_m[0]), part.near_m), part.far_m)
+        return math.log(reach_m / part.far_m)
+
+    def _nodes(self, state: CameraState, log_rate: float, number: int, end: int, seeds: list[int]) -> dict[int, Tensor]:
+        """Optical depth ``(1, H, W)`` of each seed at one of the rates, numbers and ends that are rendered, as float16."""
+        key = (log_rate, number, end)
         found: dict[int, Tensor] = {}
         with self._lock:
             for seed in dict.fromkeys(seeds):
@@ -103,7 +118,7 @@ class Rendered:
         missing = [seed for seed in dict.fromkeys(seeds) if seed not in found]
         if not missing:
             return found
-        rendered = self._render(state, log_rate, number * COUNT_STEP, {}, missing)
+        rendered = self._render(state, log_rate, number * COUNT_STEP, end * REACH_STEP, {}, missing)
         with self._lock:
             for seed, optical in zip(missing, rendered.unbind(0), strict=True):
                 found[seed] = self._kept[key, seed] = optical.clone()
@@ -112,20 +127,29 @@ class Rendered:
         return found
 
     def _render(
-        self, state: CameraState, log_rate: float, log_count: float, way: Mapping[str, float], seeds: list[int]
+        self,
+        state: CameraState,
+        log_rate: float,
+        log_count: float,
+        log_reach: float,
+        way: Mapping[str, float],
+        seeds: list[int],
     ) -> Tensor:
         """Optical depth ``(F, 1, H, W)`` of the frame of each seed, as float16."""
         number = len(seeds)
         # One value for all frames: what it is looked up for is then looked up once.
         moved = {name: torch.full((1,), value) for name, value in way.items()}
         count = None if log_count == 0.0 else torch.full((1,), math.exp(log_count))
+        reach_m = None
+        if log_reach < 0.0:
+            reach_m = torch.full((1,), self.stage.parts[0].far_m * math.exp(log_reach))
         bare = state.changed(
             signal=state.image.signal[:1].expand(number, -1, -1, -1),
             normal=None,
             particle_count=count,
             particle_contrast=None,
             airlight_scale=None,
-            particle_reach_m=moved.get("particle_reach_m"),
+            particle_reach_m=reach_m,
             path_tangent=moved.get("path_tangent"),
             row_time_s=moved.get("row_time_s"),
         )
@@ -146,6 +170,8 @@ def _between(value: float, step: float) -> list[tuple[int, float]]:
         [(2, 1.0)]
         >>> [(number, round(share, 3)) for number, share in _between(0.05, 0.1)]
         [(0, 0.512), (1, 0.488)]
+        >>> [(number, round(share, 3)) for number, share in _between(-0.05, 0.1)]
+        [(-1, 0.488), (0, 0.512)]
     """
     place = value / step
     nearest = round(place)
