@@ -107,7 +107,7 @@ class Rendered:
         return math.log(reach_m / part.far_m)
 
     def _nodes(self, state: CameraState, log_rate: float, number: int, end: int, seeds: list[int]) -> dict[int, Tensor]:
-        """Optical depth ``(1, H, W)`` of each seed at one of the rates, numbers and ends that are rendered, as float16."""
+        """Optical depth ``(1, H, W)`` of each seed at one of the rates, numbers and ends that are rendered; float16."""
         key = (log_rate, number, end)
         found: dict[int, Tensor] = {}
         with self._lock:
