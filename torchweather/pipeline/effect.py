@@ -122,6 +122,8 @@ class Effect(Stage):
             asked for by the weather, and searched for where it is named.
         unmodelled: quantities that it changes by an amount that no parameter gives, such as the brightness of a
             structure; names are those of the statistics of the gap workflow.
+        not_simulated: such quantities that it changes in a way that it does not simulate: what they depart by beside
+            it is said, and makes it no less likely.
 
     Example:
         >>> class LidarGainDrift(Effect):
@@ -154,6 +156,7 @@ class Effect(Stage):
     each_frame_anew: ClassVar[bool] = False
     searched: ClassVar[bool] = True
     unmodelled: ClassVar[tuple[str, ...]] = ()
+    not_simulated: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)

@@ -50,6 +50,7 @@ from torchweather.gap.inference.forward_selection import (
 from torchweather.gap.inference.global_test import _tail, located_templates, run_global_test
 from torchweather.gap.inference.held_out import HeldOut
 from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.residual_tests import ResidualTest
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
 from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
@@ -330,7 +331,9 @@ def global_test(
 ) -> Any:
     """Noise gains 30 at most; some statistics exceed theirs."""
     residual_test = SimpleNamespace(
-        excess=lambda left: excess, p_value=lambda left: residual_p, common_p_value=lambda left: residual_common_p
+        beyond_chance=lambda left: excess,
+        p_value=lambda left: residual_p,
+        common_p_value=lambda left: residual_common_p,
     )
     return SimpleNamespace(
         misfit=misfit, p_value=p_value, common_p_value=common_p, threshold=30.0, residual_test=residual_test
@@ -367,6 +370,19 @@ def test_what_is_left_decides_between_a_name_a_rest_and_no_name(share: float, ve
         assert _verdict(global_test(excess=excess, **sure), left_by(200.0), BEFORE, EXPLAINED) == verdict
     noise = global_test(excess=excess, residual_p=2.0 * METHOD.residual_p, residual_common_p=2.0 * METHOD.residual_p)
     assert _verdict(noise, left_by(200.0), BEFORE, EXPLAINED) == "named"
+
+
+def test_what_an_effect_does_not_simulate_is_a_rest_and_no_reason_against_it() -> None:
+    """A receiver that is more sensitive sees surfaces where clear air showed none; the model has none there."""
+    places = np.repeat(np.arange(2), 5)
+    test = ResidualTest(places, np.ones((2, 10), bool), np.ones((2, 10)))
+    found = global_test()
+    found.residual_test = test
+    fit = left_by(200.0)
+    fit.residual, fit.nuisance = np.tile(np.where(places == 1, 8.0, 0.0), 2), SimpleNamespace(left=lambda one: one)
+    assert _verdict(found, fit, BEFORE, EXPLAINED) == "unknown"  # 640 of 1,640
+    assert _verdict(found, fit, BEFORE, EXPLAINED, np.tile(places == 1, 2)) == "named_and_rest"
+    assert _verdict(found, fit, BEFORE, EXPLAINED, np.tile(places == 0, 2)) == "unknown"
 
 
 @pytest.mark.parametrize(

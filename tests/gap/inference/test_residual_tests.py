@@ -57,6 +57,21 @@ def test_squares_and_excess_are_those_of_loops() -> None:
     assert excess > 50.0
 
 
+def test_noise_leaves_no_excess_beyond_chance_and_a_departure_as_much_as_it_is() -> None:
+    """40 groups of 60 entries: noise of level 1 is above its level by 0.4 sqrt(2 x 60) = 4.4 in each of them."""
+    many = even(40, 60)
+    noise = RNG(11).normal(size=(400, 40 * 60))
+    every = np.array([many.excess(one) for one in noise])
+    assert every.mean() == pytest.approx(40 * 4.4, rel=0.03)
+    beyond = np.array([many.beyond_chance(one) for one in noise])
+    # Of an excess that scatters by s about what chance makes of it 0.4 s are left on average: none counts below 0.
+    assert beyond.mean() < 0.5 * every.std()
+    noise[:, :60] += 3.0
+    # All 540 of it, and half of the 4.4 of that group, which no longer is 0 where noise is low.
+    found = np.mean([many.beyond_chance(one) for one in noise])
+    assert found == pytest.approx(540.0 - 4.4, abs=5.0 * every.std() / 20.0)
+
+
 def test_a_few_entries_that_depart_are_not_drowned_in_all_others() -> None:
     """One group of 60 entries three scatters off among 1,500: 540 of 1,980, where noise leaves 1,500 +- 55 and less."""
     groups, each = 25, 60

@@ -376,6 +376,10 @@ def test_effects_leave_unmodelled_only_what_is_looked_at() -> None:
     assert sorted(unmodelled) == ["lidar.crosstalk", "lidar.spray", "lidar.static_structure"]
     for found in unmodelled.values():
         assert set(found) == {"log_particle_intensity", "log_particle_intensity_spread"} <= names
+    beside = {name: EFFECTS[name].not_simulated for name in LIDAR_EFFECTS if EFFECTS[name].not_simulated}
+    # A more sensitive receiver sees surfaces that were too faint in clear air.
+    assert list(beside) == ["lidar.threshold_shift"]
+    assert set(beside["lidar.threshold_shift"]) < names
 
 
 def test_first_counts_of_what_there_was_nothing_of_widen_nothing() -> None:

@@ -18,6 +18,40 @@ LIDAR_SCENE = "torchweather.gap.sensors.lidar.scene"
 
 MUTANTS = (
     Mutant(
+        "chance_counts_as_a_rest",
+        "noise leaves no excess beyond chance",
+        RESIDUAL,
+        "return float(max(over - np.sqrt(uneven / np.pi).sum(), 0.0))",
+        "return float(over)",
+        (
+            (
+                "tests/gap/inference/test_residual_tests.py::"
+                "test_noise_leaves_no_excess_beyond_chance_and_a_departure_as_much_as_it_is"
+            ),
+        ),
+    ),
+    Mutant(
+        "what_is_not_simulated_speaks_against_a_name",
+        "what an effect does not simulate speaks not against it",
+        "torchweather.gap.inference.forward_selection",
+        "for one in (left, np.where(not_simulated, 0.0, left))",
+        "for one in (left, left)",
+        (f"{SELECTION}::test_what_an_effect_does_not_simulate_is_a_rest_and_no_reason_against_it",),
+    ),
+    Mutant(
+        "particles_end_at_the_nearer_rendered_depth",
+        "between two rendered depths particles are those of both",
+        "torchweather.gap.sensors.camera.particles",
+        "_between(log_reach, REACH_STEP),",
+        "[(_between(log_reach, REACH_STEP)[0][0], 1.0)],",
+        (
+            (
+                "tests/gap/sensors/camera/test_camera_frames.py::"
+                "test_particles_that_end_between_two_rendered_depths_are_those_of_both"
+            ),
+        ),
+    ),
+    Mutant(
         "beams_chosen_by_the_noise_of_their_frame",
         "no beam of a bin counts because the frame that a simulated one starts from was read high",
         LIDAR_SCENE,

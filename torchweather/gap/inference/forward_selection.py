@@ -49,6 +49,7 @@ from torchweather.gap.inference.insensitive_statistics import (
 )
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.model_error import explained_beside, response_of
+from torchweather.gap.inference.residual_tests import ResidualTest
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
 from torchweather.gap.inference.simulated_distribution import FrameModel, observations
 from torchweather.stages.catalogue import EFFECTS
@@ -159,7 +160,7 @@ def find_gap_with(
         )
     rounds = _rounds(search, held, base, global_test, singles, progress)
     best, after = rounds[-1][0].fit, rounds[-1][0].held or before
-    verdict = _verdict(global_test, best, before, after)
+    verdict = _verdict(global_test, best, before, after, _not_simulated(search, best))
     after = before if verdict == "none" else after  # nothing is added
     left = best.nuisance.left(best.residual)
     candidates = tuple(tuple(one) for one in rounds)
@@ -436,11 +437,23 @@ def _best_on_top(
     )
 
 
-def _verdict(global_test: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut) -> str:
+def _not_simulated(search: SimulatorLikelihood, fit: Fit) -> NDArray[np.bool_]:
+    """Entries ``(C P,)`` that the effects of a fit change in a way that they do not simulate."""
+    names = {name for effect in fit.point.values for name in effect_class(search.model, effect).not_simulated}
+    return np.tile(search.model.layout.each(lambda group: group.statistic in names), len(search.measured))
+
+
+def _verdict(
+    global_test: GlobalTest,
+    fit: Fit,
+    before: HeldOut,
+    after: HeldOut,
+    not_simulated: NDArray[np.bool_] | bool = False,
+) -> str:
     """Verdict on effects that were fitted: also on conditions that they were not fitted to.
 
     Gates of a name: the alarm itself, more than noise gains, held-out conditions that do not speak against it, and a
-    share of what departs.
+    share of what departs. What the effects may do that they do not simulate speaks not against them; it is a rest.
     """
     explained = global_test.misfit - fit.misfit
     unexplained = (
@@ -453,16 +466,26 @@ def _verdict(global_test: GlobalTest, fit: Fit, before: HeldOut, after: HeldOut)
     if before.misfit - after.misfit < -HELD_LOSS * max(explained - SURE_GAIN, 0.0):
         return unexplained
     left = fit.nuisance.left(fit.residual)
-    excess = global_test.residual_test.excess(left)
-    # As an alarm is: in any one condition, or in what all have in common.
-    chance = min(global_test.residual_test.p_value(left), global_test.residual_test.common_p_value(left))
-    share = excess / max(excess + explained, 1e-9) if chance < METHOD.residual_p else 0.0
+    rest_share, share = (
+        _share_left(global_test.residual_test, one, explained) for one in (left, np.where(not_simulated, 0.0, left))
+    )
     over = (after.gap**2 - after.floor**2) / max(before.gap**2 - before.floor**2, 1e-9)
     far = after.gap > METHOD.unexplained_gap * after.floor
     rest = after.gap > METHOD.residual_gap * after.floor
     if share > UNKNOWN_SHARE or far or (rest and over > METHOD.unexplained_share):
         return "unknown"
-    return "named_and_rest" if rest or share > RESIDUAL_SHARE else "named"
+    return "named_and_rest" if rest or rest_share > RESIDUAL_SHARE else "named"
+
+
+def _share_left(test: ResidualTest, left: Floats, explained: float) -> float:
+    """Share of what departs that is left beyond chance; 0 where noise may leave it.
+
+    It may not as an alarm has it: in any one condition, or in what all have in common.
+    """
+    if min(test.p_value(left), test.common_p_value(left)) >= METHOD.residual_p:
+        return 0.0
+    beyond = test.beyond_chance(left)
+    return beyond / max(beyond + explained, 1e-9)
 
 
 def _confusable(name: str, other: str) -> bool:

@@ -63,11 +63,8 @@ class ResidualTest:
 
     def p_value(self, left: Floats) -> float:
         """Probability that noise leaves as much in the group that departs most, of as many groups as there are."""
-        model = self.model * self.used
-        level = (self.noise + self.model) * self.used
-        uneven = (level**2 + self._of_events()).sum(0) + np.square(model.sum(0)) - (model**2).sum(0)
-        sums = [self._summed(one) for one in (level.sum(0), uneven)]
-        return self._least(sums[0], sums[1], self._unsure(self.noise * self.used), self.squares(left))
+        level, uneven = self._levels()
+        return self._least(level, uneven, self._unsure(self.noise * self.used), self.squares(left))
 
     def common_p_value(self, left: Floats) -> float:
         """The same of what the conditions have in common: each entry summed over those where it counts, two at least,
@@ -81,6 +78,13 @@ class ResidualTest:
         uneven = level**2 + common * (self._of_events() / number**2).sum(0)
         sums = [self._summed(one) for one in (level, uneven, pattern**2)]
         return self._least(sums[0], sums[1], self._unsure(noise), sums[2])
+
+    def _levels(self) -> tuple[Floats, Floats]:
+        """Means ``(G,)`` of the sums of squares, and half the variances that they have about those."""
+        model = self.model * self.used
+        level = (self.noise + self.model) * self.used
+        uneven = (level**2 + self._of_events()).sum(0) + np.square(model.sum(0)) - (model**2).sum(0)
+        return self._summed(level.sum(0)), self._summed(uneven)
 
     def _unsure(self, noise: Floats) -> Floats:
         """``(G,)`` level of each group over its degrees of freedom.
@@ -129,6 +133,15 @@ class ResidualTest:
     def excess(self, left: Floats) -> float:
         """Sum of the excess of groups over what noise leaves."""
         return float(np.maximum(self.squares(left) - self._summed((self.noise * self.used).sum(0)), 0.0).sum())
+
+    def beyond_chance(self, left: Floats) -> float:
+        """The same, less what chance makes of such a sum: groups that lie below what noise leaves count as 0.
+
+        A normal number of variance v is above its mean by ``sqrt(v / (2 pi))`` on average, counted so.
+        """
+        level, uneven = self._levels()
+        over = np.maximum(self.squares(left) - level, 0.0).sum()
+        return float(max(over - np.sqrt(uneven / np.pi).sum(), 0.0))
 
 
 def residual_test(search: SimulatorLikelihood, base: Fit) -> ResidualTest:

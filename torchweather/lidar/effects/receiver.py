@@ -123,7 +123,8 @@ class LidarThresholdShift(Effect):
         shift_db: of the power that is detected, -10 to 10 dB; above 0 fewer returns.
 
     Note:
-        Readings of fog below a tenth of the threshold are not drawn, so -10 dB are the least.
+        Readings of fog below a tenth of the threshold are not drawn, so -10 dB are the least. Beams that end nowhere in
+        clear air stay without a surface, although a more sensitive receiver sees some that were too faint.
     """
 
     id: ClassVar[str] = "lidar.threshold_shift"
@@ -137,6 +138,7 @@ class LidarThresholdShift(Effect):
     confusable_with: ClassVar[Mapping[str, str]] = {
         "lidar.window_loss": "intensities; without them the two are one",
     }
+    not_simulated: ClassVar[tuple[str, ...]] = ("particles_of_empty_beams", "new_share_of_empty_beams")
     each_beam_alone: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = ("receiver.threshold", "receiver.threshold_scale", "scene.points_in")
     writes: ClassVar[tuple[str, ...]] = ("receiver.threshold_scale",)
