@@ -229,6 +229,30 @@ def test_returns_without_intensity_are_an_error_unless_the_unit_says_so(lidar: d
     assert only(lidar, "All intensities are equal").level == "warning"
 
 
+def test_a_scene_in_which_few_beams_see_one_surface(lidar: dict[str, Any]) -> None:
+    """A drive sold as one scene: surfaces at another range in each frame, and beams that return in some."""
+    clear = lidar["scenes"][0]["clear"]
+    returning = np.flatnonzero(clear[0]["range_m"])
+
+    def change(frame: dict[str, Any], beams: Any, range_m: float) -> None:
+        frame["range_m"].flat[beams] = range_m
+
+    number = len(returning) // 5
+    moved, missing = returning[:number], returning[number : 2 * number]
+    change(clear[1], moved, 12.0)
+    few = [one for one in found(lidar) if "see one surface" in one.what]
+    assert not few  # four fifths and more are enough
+    change(clear[2], missing, 0.0)
+    stable = 100 * (1 - 2 * number / len(returning))
+    one = only(lidar, f"{stable:.0f} % of the beams of scene s0 that return see one surface in all 8 clear frames")
+    assert one.level == "note"
+    share = f"{100 * number / len(returning):.0f} %"
+    assert f"{share} have no return in some, {share} return from several ranges" in one.what
+    change(clear[3], returning[: 4 * number], 12.0)
+    (worse,) = [one for one in found(lidar) if "see one surface" in one.what]
+    assert worse.level == "warning"
+
+
 def test_a_scene_without_a_condition(lidar: dict[str, Any]) -> None:
     for one in lidar["conditions"]:
         one["scene"] = "s0"

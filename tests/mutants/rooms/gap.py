@@ -18,6 +18,14 @@ LIDAR_SCENE = "torchweather.gap.sensors.lidar.scene"
 
 MUTANTS = (
     Mutant(
+        "beams_that_return_are_stable",
+        "a beam that returns from several ranges in clear air sees no one surface",
+        "torchweather.gap.sensors.lidar.stable_beams",
+        "moved = int((always & ~one_range(range_m)).sum())",
+        "moved = 0",
+        ("tests/gap/test_diagnosis.py::test_a_scene_in_which_few_beams_see_one_surface",),
+    ),
+    Mutant(
         "chance_counts_as_a_rest",
         "noise leaves no excess beyond chance",
         RESIDUAL,

@@ -26,7 +26,8 @@ from torchweather.core.errors import TorchweatherError, check_at_least
 from torchweather.core.random import keyed_stream
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap.sensors.lidar.reading_steps import frames_within_steps, in_steps, reading_step
-from torchweather.gap.sensors.lidar.scene import SAME_SURFACE_M, least_detected
+from torchweather.gap.sensors.lidar.scene import least_detected
+from torchweather.gap.sensors.lidar.stable_beams import SAME_SURFACE_M
 from torchweather.gap.study.folders import study_from_folders
 from torchweather.gap.study.frames import Frame
 from torchweather.gap.study.hidden import FRAME_STEP_S, HELD_OUT, MARGIN_DB, WEATHERS, HiddenStudy

@@ -14,7 +14,8 @@ from tests.gap.tiny_study import INTENSITY_NOISE, RANGE_NOISE_M, SENSOR, tiny_st
 from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.core.compiled import SWITCH
 from torchweather.gap.sensors.lidar.frames import LidarFrames
-from torchweather.gap.sensors.lidar.scene import CLUSTER_M, SAME_SURFACE_M
+from torchweather.gap.sensors.lidar.scene import CLUSTER_M
+from torchweather.gap.sensors.lidar.stable_beams import SAME_SURFACE_M
 from torchweather.gap.sensors.lidar.systematics import WeakSignalNoise
 from torchweather.gap.statistics.frame_statistics import Reduced
 from torchweather.gap.study.study import Study

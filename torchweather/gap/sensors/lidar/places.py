@@ -12,7 +12,8 @@ from torch import Tensor
 from torchweather.gap.natural_units import DB_PER_NEPER
 from torchweather.gap.places import CellValues, Point, quantity_of
 from torchweather.gap.sensors.lidar.frames import LidarFrames
-from torchweather.gap.sensors.lidar.scene import FAINTEST, SAME_SURFACE_M
+from torchweather.gap.sensors.lidar.scene import FAINTEST
+from torchweather.gap.sensors.lidar.stable_beams import SAME_SURFACE_M
 from torchweather.gap.study.conditions import Condition
 
 __all__ = ["lidar_cells"]

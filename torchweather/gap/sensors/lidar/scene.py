@@ -20,10 +20,11 @@ import torch
 from torch import Tensor
 
 from torchweather.gap.sensors.lidar.reading_steps import frames_within_steps, reading_step
+from torchweather.gap.sensors.lidar.stable_beams import SAME_SURFACE_M, one_range
 from torchweather.gap.study.study import StudyScene
 from torchweather.lidar.stages import ToEnergy
 
-__all__ = ["CLUSTER_M", "FAINTEST", "SAME_SURFACE_M", "LidarScene", "has_neighbour", "least_detected", "lidar_scene"]
+__all__ = ["CLUSTER_M", "FAINTEST", "LidarScene", "has_neighbour", "least_detected", "lidar_scene"]
 
 RANGE_M = (0.0, 4.0, 8.0, 12.0, 17.0, 23.0, 30.0, 40.0, 55.0, 75.0, 110.0, 1000.0)
 MARGIN_DB = (-10.0, 0.7, 1.5, 2.5, 4.0, 6.0, 9.0, 13.0, 18.0, 60.0)
@@ -31,8 +32,6 @@ AZIMUTH_SECTORS, ELEVATION_BINS, LEVEL_BINS = 16, 8, 5
 COS_INCIDENCE = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0001)
 UP = (-1.0001, -0.5, 0.5, 1.0001)
 ISOLATED = (0.0, 0.5, 1.5)
-# Nearer to the surface than this a return is the surface's: several times the range noise of a scanner.
-SAME_SURFACE_M = 0.35
 SPREAD_TIMES = 6.0
 CLUSTER_M = 0.5  # returns of one thing in neighbouring beams
 FAINTEST = 1e-6  # of intensities in logarithms
@@ -126,8 +125,7 @@ def lidar_scene(
     count, frames_of = keep @ seen, keep.sum(1, keepdim=True)
     mean_range = (keep @ range_m.double()) / count.clamp_min(1.0)
     mean_intensity = (keep @ (read.double() * seen)) / count.clamp_min(1.0)
-    far, near = range_m.amax(0), torch.where(range_m > 0, range_m, torch.inf).amin(0)
-    one_surface = torch.where(far > 0, far - near, 0.0) < 2.0 * SAME_SURFACE_M
+    one_surface = one_range(range_m)
     # Of all frames: a beam that a single frame sees is not empty, nor is one stable that a single frame lacks.
     stable = (keep @ seen == frames_of).all(0) & one_surface
     empty = count == 0

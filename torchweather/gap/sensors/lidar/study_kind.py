@@ -17,8 +17,9 @@ from torch import Tensor
 from torchweather.atmosphere.weather import Weather
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap.sensors.lidar.reading_steps import within_steps
+from torchweather.gap.sensors.lidar.stable_beams import beam_shares
 from torchweather.gap.study.checks import UNIT_TOLERANCE, ArrayRule, refuse, unit_vectors
-from torchweather.gap.study.conditions import Condition, StudyContent
+from torchweather.gap.study.conditions import Condition, StudyContent, StudyScene
 from torchweather.gap.study.frames import Frame
 from torchweather.gap.study.kinds import Finding, Given, Looks, Paths, StudyKind, place
 from torchweather.gap.study.recorded_frames import CloudFile, beam_directions
@@ -35,6 +36,8 @@ __all__ = ["LidarStudy", "simulated_lidar"]
 
 # The darkest calibrated target that is sold (Spectralon) reflects 2 %; half of a scene is never half as dark.
 DARKEST = 0.01
+# Of the beams that return, that see one surface in all clear frames. Below the first the scene is hardly one.
+FEW_STABLE, MANY_STABLE = 0.5, 0.8
 GRID = ("H", "W")
 
 Array = NDArray[Any]
@@ -181,6 +184,26 @@ class LidarStudy(StudyKind):
             )
         if unit not in ("none", "photons"):
             yield from _of_intensity_unit(lidar, clear)
+        for scene in study.scenes.values():
+            if len(scene.clear) > 1:
+                yield from _of_stable_beams(scene)
+
+
+def _of_stable_beams(scene: StudyScene) -> Iterator[Finding]:
+    """Beams that see another surface, or none, from one clear frame to the next."""
+    number = len(scene.clear)
+    every = [torch.from_numpy(np.asarray(scene.clear[k]["range_m"], dtype=np.float32)).flatten() for k in range(number)]
+    found = beam_shares(torch.stack(every))
+    if found.stable + found.missing + found.moved == 0 or found.stable >= MANY_STABLE:
+        return
+    yield Finding(
+        "warning" if found.stable < FEW_STABLE else "note",
+        f"{100 * found.stable:.0f} % of the beams of scene {scene.id} that return see one surface in all {number} "
+        f"clear frames; {100 * found.missing:.0f} % have no return in some, {100 * found.moved:.0f} % return from "
+        "several ranges.",
+        "Only the first are compared as surfaces; what moves, or comes and goes in clear air, hides what weather does.",
+        "Record from a standing vehicle, with nothing that moves nearby; give a drive's frames as scenes of their own.",
+    )
 
 
 def _of_intensity_unit(lidar: Lidar, clear: Looks) -> Iterator[Finding]:
