@@ -5,15 +5,19 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
+from benchmarks.gap_bench.generator.camera.camera_sensor import Weather, mosaic, shoot, study_camera
 from benchmarks.gap_bench.generator.camera.cases import Case, Places, build
 from benchmarks.gap_bench.generator.camera.design import Size
 from benchmarks.gap_bench.generator.camera.detectability import Table
 from benchmarks.gap_bench.generator.camera.effects import path_weights
 from benchmarks.gap_bench.generator.camera.outside import KINDS
 from benchmarks.gap_bench.generator.camera.particles import NEAR_M, Streaks, draw, optical_depth, population
-from benchmarks.gap_bench.generator.camera.scene import Eye, Street
+from benchmarks.gap_bench.generator.camera.scene import ROAD, SKY, Eye, Street, draw_street
 from benchmarks.gap_bench.sealed import plain
+from torchweather.atmosphere.weather import Rain, Snow
+from torchweather.transforms import BayerWeather
 
 DEPTHS_M = (8.0, 20.0, 60.0)
 FRAMES = 12
@@ -28,10 +32,12 @@ def _fronts(eye: Eye) -> Street:
 
 @pytest.mark.parametrize(("kind", "rate_mm_per_h"), [("rain", 40.0), ("snow", 1.0)])
 def test_particles_cover_what_beer_and_lambert_say(kind, rate_mm_per_h):
-    # Independent particles that each cover a share of the exposure leave exp(-sum of n pi D^2 / 4 times the way).
+    # Independent particles that each cover a share of the exposure leave exp(-sum of n pi D^2 / 4 times the way), which
+    # is longer off the axis.
     street, found = _fronts(Eye(160, 120)), population(kind, rate_mm_per_h)
     area_per_m = float((found.number_per_m3 * 0.25e-6 * math.pi * found.diameter_mm**2).sum())
-    expected = -np.expm1(-area_per_m * (np.array(DEPTHS_M) - NEAR_M))
+    way_m = (np.array(DEPTHS_M) - NEAR_M)[:, None] * street.ray_per_depth.reshape(3, -1)
+    expected = -np.expm1(-area_per_m * way_m).mean(1)
     rng = np.random.default_rng(5)
     covered = []
     for _ in range(FRAMES):
@@ -40,6 +46,32 @@ def test_particles_cover_what_beer_and_lambert_say(kind, rate_mm_per_h):
     error = np.std(covered, 0, ddof=1) / math.sqrt(FRAMES)
     np.testing.assert_array_less(np.abs(np.mean(covered, 0) - expected), 4.0 * error)
     assert error[-1] < 0.01 * expected[-1]
+
+
+@pytest.mark.parametrize(("kind", "rate_mm_per_h"), [("rain", 45.0), ("snow", 2.2)])
+def test_the_library_s_weather_dims_and_brightens_as_that_of_the_generator(kind, rate_mm_per_h):
+    """Two codes of one physics: what becomes of the light by depth, and in rings about the axis."""
+    eye = Eye(160, 120)
+    street = draw_street(np.random.default_rng(8), eye)
+    clear = np.log(mosaic(street.colour))
+    near, far = (street.label == ROAD) & (street.depth_m < 12.0), (street.depth_m > 25.0) & (street.label != SKY)
+    x, y = eye.rays
+    outer = np.hypot(x, y) > 0.4
+    masks = [near, far, outer & (street.label != SKY), ~outer & (street.label != SKY)]
+
+    def rows(frames):
+        return np.array([[(np.log(np.maximum(one, 2e-3)) - clear)[mask].mean() for mask in masks] for one in frames])
+
+    model = BayerWeather((Rain if kind == "rain" else Snow)(rate_mm_per_h), study_camera(eye))
+    bayer = torch.from_numpy(mosaic(street.colour)).float().expand(FRAMES, 1, -1, -1)
+    depth = torch.from_numpy(street.depth_m).float().expand(FRAMES, 1, -1, -1)
+    with torch.no_grad():
+        own = rows(model(bayer, depth, model.draw(bayer, seed=3))[:, 0].double().numpy())
+    other = rows(shoot(street, Weather(kind, rate_mm_per_h), (), FRAMES, np.random.default_rng(9)))
+    error = np.hypot(*(one.std(0, ddof=1) / math.sqrt(FRAMES) for one in (own, other)))
+    np.testing.assert_array_less(np.abs(own.mean(0) - other.mean(0)), 4.0 * error + 0.01 * np.abs(other.mean(0)))
+    # Half of the sky's light on flakes (PHYSICS.md 10.2) or marks without their growth off the axis (10.1) would show.
+    assert (error[1:] < 0.05 * np.abs(other.mean(0))[1:]).all()
 
 
 @pytest.mark.parametrize("length_px", [0.3, 0.8, 1.0, 2.5, 3.0, 8.0])
