@@ -1,4 +1,4 @@
-"""Beams of clear frames that see one surface, and what the others do: the share that a comparison can use."""
+"""Beams of clear frames that see one surface, and those that do not: the share that a comparison can use."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def one_range(range_m: Tensor) -> Tensor:
 
 
 def beam_shares(range_m: Tensor) -> BeamShares:
-    """What the beams of clear frames see.
+    """Shares of the beams that see one surface in all clear frames, and of the others.
 
     Args:
         range_m: ``(K, N)`` of K frames, 0 where a beam has no return.
