@@ -171,7 +171,7 @@ def _between(value: float, step: float) -> list[tuple[int, float]]:
         >>> [(number, round(share, 3)) for number, share in _between(0.05, 0.1)]
         [(0, 0.512), (1, 0.488)]
         >>> [(number, round(share, 3)) for number, share in _between(-0.05, 0.1)]
-        [(-1, 0.488), (0, 0.512)]
+        [(-1, 0.512), (0, 0.488)]
     """
     place = value / step
     nearest = round(place)
