@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchweather.atmosphere.weather import Snow
-from torchweather.camera.flake_light import flake_light, sky_gradient
+from torchweather.camera.flake_light import _gradient_of_graph, flake_light, sky_gradient
 from torchweather.camera.state import CameraState
 from torchweather.core.compiled import SWITCH
 from torchweather.sensors import Camera
@@ -76,6 +76,9 @@ def test_cells_of_a_mosaic_that_are_sky_in_part_show_no_gradient() -> None:
         assert sine is not None
         seen = state.changed(signal=state.image.signal * torch.where(roofs, 1.0, 1.0 + 0.7 * sine))
         assert float(sky_gradient(seen)) == pytest.approx(0.7, rel=1e-3)
+        # An exported graph reads the same cells at once.
+        assert float(_gradient_of_graph(state, sine)) == pytest.approx(0.0, abs=1e-5)
+        assert float(_gradient_of_graph(seen, sine)) == pytest.approx(0.7, rel=1e-3)
 
 
 def test_without_ground_in_the_frame_asphalt_stands_in() -> None:

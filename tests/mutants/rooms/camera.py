@@ -501,6 +501,14 @@ MUTANTS = (
         ("tests/camera/particles/test_off_axis.py::test_cover_at_the_corner_is_that_of_the_rays",),
     ),
     Mutant(
+        "cells_of_roof_and_sky_are_sky_in_a_graph",
+        "the gradient of a sky in a graph is that of cells which show nothing else",
+        "torchweather.camera.flake_light",
+        "weight = (share - PARTLY_SKY).clamp_min(0.0)",
+        "weight = share",
+        ("tests/camera/test_flake_light.py::test_cells_of_a_mosaic_that_are_sky_in_part_show_no_gradient",),
+    ),
+    Mutant(
         "cells_of_roof_and_sky_are_sky",
         "the gradient of a sky is that of cells which show nothing else",
         "torchweather.camera.flake_light",
