@@ -103,17 +103,47 @@ PAIRS = (
     *(("snow", "particle_count", "tone_curve"), ("snow", "wind_slant", "stray_light")),
     *(("fog", "airlight_scale", "exposure_gain"), ("rain", "streak_contrast", "particle_count")),
 )
+MORE_PAIRS = (
+    *(("fog", "height_fog", "vignetting"), ("fog", "airlight_scale", "sensor_noise")),
+    *(("fog", "stray_light", "ego_blur"), ("fog", "patchy_fog", "saturation")),
+    *(("fog", "extinction_scale", "wet_surface"), ("fog", "tone_curve", "adherent_drops")),
+    *(("rain", "exposure_gain", "defocus"), ("rain", "wind_slant", "sensor_noise")),
+    *(("rain", "stray_light", "streak_contrast"), ("rain", "saturation", "particle_count")),
+    *(("rain", "vignetting", "ego_blur"), ("snow", "airlight_scale", "wind_slant")),
+    *(("snow", "wet_surface", "particle_count"), ("snow", "exposure_gain", "sensor_noise")),
+    *(("fog", "defocus", "ego_blur"), ("fog", "tone_curve", "stray_light")),
+)
+PAIR_LEVELS = ((30.0, 30.0), (30.0, 10.0), (10.0, 10.0))
 
 
 def _pairs(seed: int) -> Iterator[Row]:
-    """Two effects; the last two pairs are nearly degenerate."""
+    """Two effects; the last two pairs of either list are nearly degenerate."""
     for weather, first, second in PAIRS:
         yield weather, (f"camera.{first}", f"camera.{second}"), (30.0, 30.0), None, {}
+    for number, (weather, first, second) in enumerate(MORE_PAIRS):
+        yield weather, (f"camera.{first}", f"camera.{second}"), PAIR_LEVELS[number % len(PAIR_LEVELS)], None, {}
+
+
+TRIPLES = (
+    *(("fog", "exposure_gain", "sensor_noise", "height_fog"), ("fog", "extinction_scale", "defocus", "vignetting")),
+    *(("fog", "airlight_scale", "wet_surface", "ego_blur"), ("fog", "stray_light", "saturation", "adherent_drops")),
+    *(("rain", "streak_contrast", "vignetting", "sensor_noise"), ("rain", "wind_slant", "exposure_gain", "defocus")),
+    *(("rain", "wet_surface", "ego_blur", "particle_count"), ("rain", "stray_light", "adherent_drops", "wind_slant")),
+    *(("snow", "tone_curve", "wind_slant", "sensor_noise"), ("snow", "particle_count", "exposure_gain", "ego_blur")),
+    *(("snow", "streak_contrast", "wet_surface", "defocus"), ("snow", "airlight_scale", "vignetting", "saturation")),
+)
+
+
+def _triples(seed: int) -> Iterator[Row]:
+    for weather, *names in TRIPLES:
+        yield weather, tuple(f"camera.{name}" for name in names), (30.0, 30.0, 30.0), None, {}
 
 
 def _outside(seed: int) -> Iterator[Row]:
-    for number, name in enumerate(OUTSIDE):
-        yield WEATHERS[(number + seed) % 3], (name,), (30.0,), None, {}
+    """Each kind in two weathers."""
+    for turn in range(2):
+        for number, name in enumerate(OUTSIDE):
+            yield WEATHERS[(number + turn + seed) % 3], (name,), (30.0,), None, {}
 
 
 def _decoys(seed: int) -> Iterator[Row]:
@@ -137,6 +167,7 @@ GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {
     "singles": _singles,
     "nulls": lambda seed: null_rows(WEATHERS, Size(clear_frames=2, frames=2)),
     "pairs": _pairs,
+    "triples": _triples,
     "outside": _outside,
     "decoys": _decoys,
     "screen": lambda seed: screen_rows(WEATHERS, Size().smaller()),
@@ -240,7 +271,7 @@ def _builder(
 
 SENSOR = BenchSensor(
     groups=tuple(GROUPS),
-    usual=("singles", "nulls", "pairs", "outside", "decoys"),
+    usual=("singles", "nulls", "pairs", "triples", "outside", "decoys"),
     plan=_cases,
     builder=_builder,
     bars=other_bars(SECONDS),

@@ -212,8 +212,6 @@ class SensorNoise(Known):
 
 
 class ToneCurve(Known):
-    """A parabola through black and saturation with the power's value in the middle."""
-
     name, swept, weak, strong, identity = "camera.tone_curve", "gamma", 5e-4, 0.4, 1.0
 
     def on_electrons(self, shot: Shot, signal: FloatArray) -> FloatArray:
@@ -242,7 +240,7 @@ class PatchyFog(Known):
 
 
 class HeightFog(Known):
-    """A layer with a linear fall of its density to nothing at two scale heights."""
+    """Exponential in height above the camera."""
 
     name, swept, weak, strong, identity = "camera.height_fog", "scale_height_m", 3e5, 4.0, np.inf
     weathers = ("fog",)

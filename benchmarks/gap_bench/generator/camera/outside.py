@@ -1,13 +1,13 @@
-"""Seven effects that the catalogue does not have."""
+"""Ten effects that the catalogue does not have."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, special
 
 from .camera_sensor import Shot
 from .effects import CATALOGUE, Known
-from .scene import ROAD, FloatArray
+from .scene import ROAD, SKY, FloatArray
 
 __all__ = ["KINDS", "OUTSIDE"]
 
@@ -97,7 +97,49 @@ class HeadLamp(Known):
         shot.scene = shot.scene * (1.0 + self.value * on * (8.0 / depth) ** 2)[..., None]
 
 
+class GhostImage(Known):
+    """The window's inner face mirrors a faint copy of the picture, lower by a tenth of its height."""
+
+    name, swept, weak, strong, same_form = "outside.ghost_image", "share", 1e-4, 0.3, False
+    shows_along = ("depth", "elevation", "signal", "off_axis")
+
+    def on_light(self, shot: Shot, light: FloatArray) -> FloatArray:
+        down = light.shape[0] // 10
+        copy = np.concatenate([np.repeat(light[:1], down, 0), light[:-down]])
+        return (1.0 - self.value) * light + self.value * copy
+
+
+class Wiper(Known):
+    """A blurred dark blade stands in another place of each frame."""
+
+    name, swept, weak, strong, same_form = "outside.wiper", "darkening", 1e-3, 1.0, False
+    shows_along = ("frame", "column_share", "depth", "signal", "place")
+
+    def on_light(self, shot: Shot, light: FloatArray) -> FloatArray:
+        height, width = light.shape[:2]
+        angle = shot.rng.uniform(-1.2, 1.2)
+        rows, columns = np.indices((height, width), dtype=float)
+        aside = (columns - 0.5 * width) * np.cos(angle) - (1.1 * height - rows) * np.sin(angle)
+        return light * (1.0 - self.value * np.exp(-((aside / (0.03 * width)) ** 2)))[..., None]
+
+
+class Shadow(Known):
+    """The sun has moved: surfaces right of the middle lie in a shadow that they did not lie in."""
+
+    name, swept, weak, strong, same_form = "outside.shadow", "darkening", 1e-3, 0.8, False
+    shows_along = ("column_share", "depth", "signal")
+
+    def on_scene(self, shot: Shot) -> None:
+        x, _ = shot.street.eye.rays
+        shaded = special.expit(x / 0.02) * (shot.street.label != SKY)
+        shot.scene = shot.scene * (1.0 - self.value * shaded)[..., None]
+
+
 OUTSIDE: dict[str, type[Known]] = {
-    kind.name: kind for kind in (LensFlare, HotPixels, Flicker, ChromaticShift, RowNoise, ColourCast, HeadLamp)
+    kind.name: kind
+    for kind in (
+        *(LensFlare, HotPixels, Flicker, ChromaticShift, RowNoise, ColourCast, HeadLamp),
+        *(GhostImage, Wiper, Shadow),
+    )
 }
 KINDS: dict[str, type[Known]] = {**CATALOGUE, **OUTSIDE}
