@@ -176,6 +176,9 @@ class LinearSimulator:
         """Particles are in their bin."""
         return 0.0
 
+    def clear_noise(self, condition: Condition) -> None:
+        """A simulated frame has the noise of its clear frame."""
+
     def left_open(self, condition: Condition) -> float:
         """Nothing beside how clear frames differ."""
         return 0.0

@@ -17,6 +17,7 @@ from torchweather.atmosphere.weather import Fog
 from torchweather.gap.inference.candidate_fits import Candidate
 from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.forward_selection import GapResult
+from torchweather.gap.inference.held_out import excess_left
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 from torchweather.gap.inference.simulated_distribution import Observation, SimulatedDistribution
 from torchweather.gap.inference.unknown import unknown
@@ -62,7 +63,6 @@ RIGHT = {"named": 0.95, "named_and_rest": 0.8}
 AT_BOUND = 1e-3  # of the span of a parameter, within which a value stands at its end
 LIKELY = 0.05  # of the best candidate's weight, from which another cannot be excluded
 DIGITS = 6  # significant
-LEAST_EXCESS = 1.1  # of what a perfect model scores, from which a departure is more than the noise of that score
 
 
 @dataclass(frozen=True)
@@ -248,16 +248,6 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
         tuple(_responses(result)),
         _residuals(result),
     )
-
-
-def excess_left(before: float, after: float, floor: float) -> float | None:
-    """Share of the held-out departure beyond a perfect model's that is left; ``None`` where there is none to shrink.
-
-    Example:
-        >>> excess_left(3.0, 1.5, 1.0), excess_left(3.0, 0.9, 1.0), excess_left(1.0, 1.0, 1.0)
-        (0.25, 0.0, None)
-    """
-    return max(after - floor, 0.0) / (before - floor) if before > LEAST_EXCESS * floor else None
 
 
 def _ranked(candidates: Sequence[Candidate], weights: Sequence[float], result: GapResult) -> list[dict[str, Any]]:

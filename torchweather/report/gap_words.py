@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from torchweather.gap.gap_report import excess_left
+from torchweather.gap.inference.held_out import excess_left
 from torchweather.gap.natural_units import DB_PER_NEPER
 from torchweather.pipeline.effect import Parameter
 from torchweather.report.tables import number_text, signed_text

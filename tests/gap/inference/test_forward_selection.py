@@ -259,6 +259,21 @@ def test_effects_that_are_idle_beside_others_go() -> None:
     assert kept.misfit < whole.misfit + 60.0
 
 
+def test_an_effect_that_was_led_to_where_it_does_nothing_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a fit without it comes to: drops on the window that cover nothing are no drops."""
+    search = likelihood_of(LinearSimulator([effect(NOISE, 0.5)]))
+    base = search.begin()
+    two = {
+        name: {one.name: float(getattr(effect(name, strength), one.name)) for one in EFFECTS[name].arguments}
+        for name, strength in ((WINDOW, 0.0), (NOISE, 0.5))
+    }
+    point = ParameterPoint(two)
+    whole = replace(search.fit(point, base.nuisance, base.base), point=point)
+    worse = replace(whole, point=point.without(WINDOW), misfit=whole.misfit + 500.0)
+    monkeypatch.setattr(search, "fit", lambda *arguments: worse)
+    assert set(_without_idle(search, Candidate(NOISE, whole, 100.0), 30.0).point.values) == {NOISE}
+
+
 # ---- what no effect explains -----------------------------------------------------------------------------------------
 
 
@@ -318,7 +333,7 @@ def test_an_effect_may_hide_behind_what_is_left_open() -> None:
 
 
 BEFORE = HeldOut(gap=2.0, floor=1.0, spread=0.05, misfit=400.0)
-EXPLAINED = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=110.0)
+EXPLAINED = HeldOut(gap=1.2, floor=1.0, spread=0.05, misfit=110.0)
 
 
 def global_test(
@@ -370,6 +385,18 @@ def test_what_is_left_decides_between_a_name_a_rest_and_no_name(share: float, ve
         assert _verdict(global_test(excess=excess, **sure), left_by(200.0), BEFORE, EXPLAINED) == verdict
     noise = global_test(excess=excess, residual_p=2.0 * METHOD.residual_p, residual_common_p=2.0 * METHOD.residual_p)
     assert _verdict(noise, left_by(200.0), BEFORE, EXPLAINED) == "named"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "verdict"),
+    [(2.0, 1.08, "named_and_rest"), (2.0, 1.12, "unknown"), (1.4, 1.0, "unknown")],
+    ids=["repaired", "not quite", "held-out conditions hardly show it"],
+)
+def test_what_repairs_held_out_conditions_is_a_name_of_another_form(before: float, after: float, verdict: str) -> None:
+    """However much it leaves where it was fitted."""
+    found = global_test(excess=1000.0, residual_p=0.5 * METHOD.residual_p)
+    held = HeldOut(gap=after, floor=1.0, spread=0.05, misfit=110.0)
+    assert _verdict(found, left_by(200.0), replace(BEFORE, gap=before), held) == verdict
 
 
 def test_what_an_effect_does_not_simulate_is_a_rest_and_no_reason_against_it() -> None:

@@ -10,6 +10,7 @@ SELECTION = "tests/gap/inference/test_forward_selection.py"
 RANDOM_EFFECTS = "torchweather.gap.statistics.frame_random_effects"
 FORMULA = "torchweather.gap.statistics.formula"
 CAMERA_FRAMES = "tests/gap/sensors/camera/test_camera_frames.py"
+CLEAR_NOISE = "tests/gap/sensors/camera/test_clear_noise.py"
 
 OF_SCENE = "tests/gap/sensors/lidar/test_lidar_scene.py"
 DISTRIBUTION = "tests/gap/inference/test_simulated_distribution.py"
@@ -744,5 +745,50 @@ MUTANTS = (
         """        progress,
     )""",
         (f"{SELECTION}::test_beside_all_candidates_of_an_alarm_the_nuisances_are_fitted_anew",),
+    ),
+    Mutant(
+        "clear_frames_noise_whole_in_fog",
+        "fog lets through of the clear frames' noise what it lets through of the scene",
+        "torchweather.gap.sensors.camera.clear_noise",
+        "passed[part] = np.where(some, of_mean / np.where(some, of_frame, 1.0), 1.0)",
+        "passed[part] = 1.0",
+        (f"{CLEAR_NOISE}::test_fog_lets_the_clear_frames_noise_through_as_it_does_the_scene",),
+    ),
+    Mutant(
+        "simulated_noise_as_in_clear_air",
+        "a simulated frame's noise is compared with the mean of the others, of which fog leaves a part",
+        "torchweather.gap.sensors.camera.clear_noise",
+        '"log": (added * clear - seen + level)',
+        '"log": (0.0 * added + clear)',
+        (f"{CLEAR_NOISE}::test_own_noise_over_that_of_simulated_frames_is_as_drawn",),
+    ),
+    Mutant(
+        "whitened_as_few_portions_tell",
+        "entries that were made independent scatter as the folds of the portions show",
+        "torchweather.gap.inference.simulated_distribution",
+        "return cls(factor * np.sqrt(left))",
+        "return cls(factor)",
+        (
+            (
+                "tests/gap/inference/test_simulated_distribution.py::"
+                "test_of_correlations_that_few_portions_tell_each_group_is_left_one"
+            ),
+        ),
+    ),
+    Mutant(
+        "effects_that_do_nothing_named",
+        "an effect that was led to its identity is none",
+        "torchweather.gap.inference.forward_selection",
+        "if nothing or without.misfit",
+        "if without.misfit",
+        (f"{SELECTION}::test_an_effect_that_was_led_to_where_it_does_nothing_goes",),
+    ),
+    Mutant(
+        "repaired_conditions_called_unknown",
+        "what leaves a tenth of the held-out excess is a name with a rest",
+        "torchweather.gap.inference.forward_selection",
+        "share = 0.0  # a rest",
+        "share = share  # a rest",
+        (f"{SELECTION}::test_what_repairs_held_out_conditions_is_a_name_of_another_form",),
     ),
 )

@@ -46,12 +46,14 @@ class MeasuredSize:
         clear_frames: K, of its scene.
         time_s: of the frames.
         misplaced: share of the particles that the model may put into a neighbouring bin of range.
+        clear_noise: ``(P,)`` variance of means of elements by the noise of one clear frame, over that of a frame.
     """
 
     frames: int
     clear_frames: int
     time_s: Floats | None = None
     misplaced: float = 0.0
+    clear_noise: Floats | float = 1.0
 
 
 @dataclass(frozen=True)
@@ -388,6 +390,7 @@ def _scatter(
     # What happens by chance in clear frames is simulated as often as they show it: their error is all of it. The same
     # holds for squares about the mean of two frames, which are alike in both.
     squares = layout.each(lambda group: group.statistic in layout.about_clear_mean)
+    passed = np.broadcast_to(size.clear_noise, layout.size)
     told_by_clear = np.where(from_clear | (squares & (clear < METHOD.frames_for_spread)), 1.0, share)
     for group, part in zip(layout.groups, layout.slices, strict=True):
         if by_elements[part][0]:
@@ -395,7 +398,7 @@ def _scatter(
             # The noise of elements holds that of the weather in them, not what it does to whole frames.
             own[part] = np.maximum(noise, components.within[part])
             simulated[part] = np.minimum(components.within[part], own[part]) * number / frames
-            of_clear[part] = noise * told_by_clear[part] * number / clear
+            of_clear[part] = noise * told_by_clear[part] * passed[part] * number / clear
         elif group.kind in COUNTED:
             alike = dispersion[group.statistic]
             known, prior, least = counted.told()[part], counted.prior()[part], counted.least(group, part, alike)

@@ -81,6 +81,7 @@ class InferenceConfig:
     portioned_frames: int = 8  # of each condition
     frames_for_spread: int = 3  # least number; two frames differ alike in either order, which has no scatter
     shrinkage: float = 0.1  # of correlations towards zero
+    whitening_folds: int = 10  # of the portions, of which each is whitened with the others' correlations
 
     # ---- Response templates and starts of fits ----
     template_amplitudes: tuple[float, float] = (0.0, 1.35)  # between which a response is scaled

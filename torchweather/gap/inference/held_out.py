@@ -15,7 +15,9 @@ from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.global_test import expected_square
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 
-__all__ = ["HeldOut", "held_out"]
+__all__ = ["HeldOut", "excess_left", "held_out"]
+
+LEAST_EXCESS = 1.1  # of what a perfect model scores, from which a departure is more than the noise of that score
 
 
 @dataclass(frozen=True)
@@ -43,3 +45,13 @@ def held_out(held: SimulatorLikelihood, fitted: Fit, seed: int) -> HeldOut:
     floor = np.sqrt(np.maximum(left, 0.0) / counted)  # rounding, where departures are millions of scatters
     gap = math.sqrt(max(fitted.misfit, 0.0) / counted)
     return HeldOut(gap, float(floor.mean()), float(floor.std()), fitted.misfit)
+
+
+def excess_left(before: float, after: float, floor: float) -> float | None:
+    """Share of the held-out departure beyond a perfect model's that is left; ``None`` where there is none to shrink.
+
+    Example:
+        >>> excess_left(3.0, 1.5, 1.0), excess_left(3.0, 0.9, 1.0), excess_left(1.0, 1.0, 1.0)
+        (0.25, 0.0, None)
+    """
+    return max(after - floor, 0.0) / (before - floor) if before > LEAST_EXCESS * floor else None

@@ -43,6 +43,21 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class ClearNoise:
+    """Noise of clear frames in the means over the elements of frames in weather.
+
+    Args:
+        own: ``(P,)`` variance that a measured frame's noise makes of an entry, over that by which simulated frames of
+            different clear frames differ: each is compared with the mean of the others.
+        passed: ``(P,)`` variance that the noise of one clear frame makes of what is simulated from it, over that of a
+            measured frame.
+    """
+
+    own: Floats
+    passed: Floats
+
+
 class FrameModel(Protocol):
     """Interface of a kind of sensor for the workflow: one file each."""
 
@@ -98,6 +113,10 @@ class FrameModel(Protocol):
         scene."""
         ...
 
+    def clear_noise(self, condition: Condition) -> ClearNoise | None:
+        """Noise of clear frames, as far as it reaches those of a condition; ``None`` where a frame has that of its own."""
+        ...
+
     def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Simulate the condition about this weather from here on."""
         ...
@@ -134,6 +153,7 @@ class Observation:
         misplaced: as in ``FrameModel``.
         clear_frames: of its scene.
         left_open: as in ``FrameModel``.
+        clear_noise: as in ``FrameModel``.
     """
 
     condition: Condition
@@ -143,6 +163,7 @@ class Observation:
     misplaced: float = 0.0
     clear_frames: int = 1
     left_open: Floats | float = 0.0
+    clear_noise: ClearNoise | None = None
 
     @property
     def intensity_sd(self) -> float:
@@ -157,8 +178,8 @@ def observations(model: FrameModel, conditions: Sequence[Condition]) -> list[Obs
         pool = Pool(model.layout, model.measured(condition))
         number, clear = len(pool), model.clear_frames[condition.scene]
         vector = pool.vectors(np.arange(number)[None], condition.time_s)[0]
-        misplaced, left_open = model.misplaced(condition), model.left_open(condition)
-        found.append(Observation(condition, vector, pool.enough(number), number, misplaced, clear, left_open))
+        known = (model.misplaced(condition), clear, model.left_open(condition), model.clear_noise(condition))
+        found.append(Observation(condition, vector, pool.enough(number), number, *known))
     return found
 
 
@@ -171,12 +192,14 @@ class ElementNoise:
         correlation: ``(P, P)`` of the entries, common to the conditions.
         elements: condition to ``(P,)`` how many elements of a frame tell it; none where that is left out.
         degrees_of_freedom: condition to ``(P,)``, with which that scatter is known; exactly where left out.
+        folds: ``(folds, P, P)`` parts of the correlation that each fold of the portions makes; none where left out.
     """
 
     scatter: Mapping[str, Floats]
     correlation: Floats
     elements: Mapping[str, Floats] = field(default_factory=dict)
     degrees_of_freedom: Mapping[str, Floats] = field(default_factory=dict)
+    folds: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -190,15 +213,38 @@ class Whitening:
     factor: Floats
 
     @classmethod
-    def of(cls, noise: ElementNoise, sd: Mapping[str, Floats], events: EventsAlongAxes) -> Whitening:
+    def of(
+        cls, noise: ElementNoise, sd: Mapping[str, Floats], events: EventsAlongAxes, layout: Layout | None = None
+    ) -> Whitening:
         """Correlations of entries whose scatter ``sd`` is the elements' and more that is each entry's own; of counts
-        also as far as no event was simulated."""
+        also as far as no event was simulated.
+
+        An entry is made independent of those before it. Of correlations that few portions tell it then scatters by
+        more than 1, and by less where shrinking keeps it from following the others. So each fold of the portions is
+        whitened with the correlations of the other folds, and its mean square, group by group of the layout, is the
+        variance that the entries have (cross-validation, Stone 1974).
+        """
         names = list(noise.scatter)
         share = np.mean([noise.scatter[name] / np.maximum(sd[name], 1e-300) for name in names], 0)
         share = np.clip(share, 0.0, 1.0)
-        correlation = (1.0 - METHOD.shrinkage) * events.mixed(noise.correlation, share)
-        np.fill_diagonal(correlation, 1.0)
-        return cls(np.asarray(np.linalg.cholesky(correlation), dtype=np.float64))
+        factor = _shrunk_factor(events.mixed(noise.correlation, share))
+        if noise.folds is None or layout is None:
+            return cls(factor)
+        left = np.zeros(len(factor))
+        for fold in noise.folds:
+            others = noise.correlation - fold
+            spread = np.sqrt(np.maximum(np.diag(others), 1e-12))
+            own = events.mixed(len(noise.folds) * fold, share)
+            # What the elements do not tell of an entry's scatter is its own.
+            np.fill_diagonal(own, np.diag(own) + 1.0 - np.diag(events.mixed(noise.correlation, share)))
+            of_others = _shrunk_factor(events.mixed(others / np.outer(spread, spread), share))
+            whitened = solve_triangular(of_others, own, lower=True)
+            left += (solve_triangular(of_others, whitened.T, lower=True).diagonal()) / len(noise.folds)
+        told = np.diag(noise.correlation) > 0.5
+        for part in layout.slices:
+            some = told[part]
+            left[part] = left[part][some].mean() if some.any() else 1.0
+        return cls(factor * np.sqrt(left))
 
     def __call__(self, scaled: Floats) -> Floats:
         """Departures ``(..., P)`` in units of their scatter to independent ones."""
@@ -210,6 +256,13 @@ class Whitening:
         """Back to units of the scatter, ``(..., P)``."""
         found: Floats = independent @ self.factor.T
         return found
+
+
+def _shrunk_factor(correlation: Floats) -> Floats:
+    """Lower Cholesky factor of correlations ``(P, P)``, shrunk towards zero."""
+    found = (1.0 - METHOD.shrinkage) * correlation
+    np.fill_diagonal(found, 1.0)
+    return np.asarray(np.linalg.cholesky(found), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -302,7 +355,16 @@ def simulated_distribution(
         least[name] = np.where(more, np.maximum(independent[name], of_few), 0.0)
         own = np.maximum(noise.scatter[name] * np.where(more, 1.0, grown), least[name])
         elements[name] = np.where(few, independent[name] * alike, own)
-    sizes = {t.condition.id: MeasuredSize(t.frames, t.clear_frames, t.condition.time_s, t.misplaced) for t in measured}
+    sizes = {
+        t.condition.id: MeasuredSize(
+            t.frames,
+            t.clear_frames,
+            t.condition.time_s,
+            t.misplaced,
+            1.0 if t.clear_noise is None else t.clear_noise.passed,
+        )
+        for t in measured
+    }
     found = calibrated_scatter(pools, sizes, elements, seed, noise.degrees_of_freedom, least)
     sds, owns, totals, used, shared = {}, {}, {}, {}, {}
     for target in measured:
@@ -315,7 +377,9 @@ def simulated_distribution(
         shared[name] = np.sqrt(clear / np.maximum(apart, TINY**2))
         used[name] = target.enough & pools[name].enough(target.frames) & (apart > TINY**2)
     # The clear frames' noise is that of the same elements: it goes together as the frames' own does.
-    whitening = Whitening.of(noise, owns, events_along_axes(layout, pools)) if start is None else start.whitening
+    whitening = (
+        Whitening.of(noise, owns, events_along_axes(layout, pools), layout) if start is None else start.whitening
+    )
     return SimulatedDistribution(
         mean={name: one.mean for name, one in found.items()},
         sd=sds,
@@ -342,7 +406,7 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
         portions: of a frame.
     """
     size = next(iter(portioned.values())).layout.size
-    total = np.zeros((size, size))
+    folds = np.zeros((METHOD.whitening_folds, size, size))
     scatter, known = {}, {}
     layout = next(iter(portioned.values())).layout
     about_own = layout.each(lambda group: group.statistic in layout.about_own_mean)
@@ -352,7 +416,9 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
         name, clear = target.condition.id, target.clear_frames
         apart = portioned[name].element_noise(portions, target.frames, clear)
         # Departures from the mean of the other clear frames are larger than those from the mean of all.
-        apart *= np.where(averages & ~about_clear, (clear - 1) / clear if clear > 1 else 1.0, 1.0)
+        of_others = (clear - 1) / clear if clear > 1 else 1.0
+        own = of_others if target.clear_noise is None else np.sqrt(target.clear_noise.own)
+        apart *= np.where(averages & ~about_clear, own, 1.0)
         apart *= np.where(about_clear, math.sqrt(squares_about_clear_mean(target.frames, clear)), 1.0)
         apart *= np.sqrt(layout.each(lambda group: layout.scatter_share.get(group.statistic, 1.0)))
         apart *= np.where(about_own, math.sqrt(squares_go_together(min(target.frames, clear), clear)), 1.0)
@@ -360,11 +426,14 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
         independent = min(len(apart), clear) - 1
         known[name] = _degrees_of_freedom((apart**2).mean(0), independent)
         unit = apart / np.where(scatter[name] > 0, scatter[name], 1.0)
-        unit = np.where(target.enough, unit, 0.0).reshape(-1, size)
-        total += unit.T @ unit / len(apart)
-    spread = np.sqrt(np.diag(total))
+        unit = np.where(target.enough, unit, 0.0)
+        for number in range(len(folds)):
+            own_portions = unit[:, number :: len(folds)].reshape(-1, size)
+            folds[number] += own_portions.T @ own_portions / len(apart)
+    spread = np.sqrt(np.diag(folds.sum(0)))
+    folds /= np.maximum(np.outer(spread, spread), 1e-12)
     each = {target.condition.id: _elements(portioned[target.condition.id], portions) for target in measured}
-    return ElementNoise(scatter, total / np.maximum(np.outer(spread, spread), 1e-12), each, known)
+    return ElementNoise(scatter, folds.sum(0), each, known, folds)
 
 
 def _degrees_of_freedom(squares: Floats, independent: int) -> Floats:

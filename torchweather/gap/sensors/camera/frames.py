@@ -32,6 +32,8 @@ from torchweather.camera.state import CameraState
 from torchweather.camera.transform import BayerWeather
 from torchweather.core.random import keyed_stream
 from torchweather.gap.inference.effect_forms import counted_form, searched_effects
+from torchweather.gap.inference.simulated_distribution import ClearNoise
+from torchweather.gap.sensors.camera.clear_noise import camera_clear_noise
 from torchweather.gap.sensors.camera.particles import LEAST_STEP, MOST_STEP, Rendered
 from torchweather.gap.sensors.camera.scene import COLOURS, CameraScene, camera_scene, cell_colours
 from torchweather.gap.sensors.camera.scene_change import refuse_changed
@@ -195,6 +197,15 @@ class CameraFrames:
         """Nothing beside how clear frames differ."""
         return 0.0
 
+    def clear_noise(self, condition: Condition) -> ClearNoise:
+        """Noise of the clear frames in frames of a condition, as the model without effects has it."""
+        scene = self.scenes[condition.scene]
+        with torch.no_grad():
+            chain, row = self._chain(condition, ()), torch.zeros(1, dtype=torch.long)
+            state, _ = self._to_the_noise(chain, condition, row, 0.0, [0])
+        covered = _covered(state)
+        return camera_clear_noise(scene, self._of(condition), state.image.signal, _left(state, condition), covered)
+
     def render_near(self, condition: Condition, log_intensity: float) -> None:
         """Render particles at this rate, and at those about it."""
         with self._lock:
@@ -354,26 +365,39 @@ class CameraFrames:
         self, chain: Chain, condition: Condition, row: Tensor, log_intensity: float, seeds: list[int]
     ) -> Tensor:
         """Frames ``(F, 1, H, W)`` that come out of a chain."""
+        state, behind = self._to_the_noise(chain, condition, row, log_intensity, seeds)
+        scene = self.scenes[condition.scene]
+        light = scene.with_noise(state.image.signal, _left(state, condition), _covered(state), row)
+        state = state.changed(signal=light)
+        for name in behind:
+            state = self._passed(name, chain.stages[name], condition, state, log_intensity, seeds)
+        return state.image.signal
+
+    def _to_the_noise(
+        self, chain: Chain, condition: Condition, row: Tensor, log_intensity: float, seeds: list[int]
+    ) -> tuple[CameraState, list[str]]:
+        """The state where a frame's noise arises, and the names of the stages behind that."""
         scene = self.scenes[condition.scene]
         normal = None if scene.normal is None else scene.normal[None]
         # Light comes without noise: that of the frame is added where it arises, as large as the light there makes it.
-        reference, gain = _lit(scene.reference[row], condition), _gain(condition)
+        reference = _lit(scene.reference[row], condition)
         state = self.transform(condition).state_of(reference, scene.depth_m[None], normal)
-        state, noisy = state.changed(keep_truth=True), False
-        for name, stage in chain.stages.items():
-            if not noisy and name in BEHIND_THE_NOISE:
-                left = state.image.transmission
-                if gain != 1:  # the noise of the mean is in the reference, times the gain
-                    left = torch.full_like(state.image.signal, gain) if left is None else gain * left
-                light = scene.with_noise(state.image.signal, left, _covered(state), row)
-                state, noisy = state.changed(signal=light), True
-            if isinstance(stage, ParticleVeil):
-                state = self._veiled(stage, condition, state, log_intensity, seeds)
-            else:
-                with_intensity = isinstance(stage, ExtinctionAndAirlight) and log_intensity != 0
-                found = _at_visibility(stage, math.exp(log_intensity)) if with_intensity else stage
-                state = found(state, self._noise(stage, name, condition, state, seeds))
-        return state.image.signal
+        state, names = state.changed(keep_truth=True), list(chain.stages)
+        first = min(names.index(name) for name in BEHIND_THE_NOISE if name in names)
+        for name in names[:first]:
+            state = self._passed(name, chain.stages[name], condition, state, log_intensity, seeds)
+        return state, names[first:]
+
+    def _passed(
+        self, name: str, stage: Stage, condition: Condition, state: CameraState, log_intensity: float, seeds: list[int]
+    ) -> CameraState:
+        """The state behind a stage."""
+        if isinstance(stage, ParticleVeil):
+            return self._veiled(stage, condition, state, log_intensity, seeds)
+        with_intensity = isinstance(stage, ExtinctionAndAirlight) and log_intensity != 0
+        found = _at_visibility(stage, math.exp(log_intensity)) if with_intensity else stage
+        behind: CameraState = found(state, self._noise(stage, name, condition, state, seeds))
+        return behind
 
     def _noise(
         self, stage: Stage, name: str, condition: Condition, state: CameraState, seeds: list[int]
@@ -423,6 +447,14 @@ def _lit(clear: Tensor, condition: Condition) -> Tensor:
     """Clear frames at the exposure of a condition."""
     gain = _gain(condition)
     return clear if gain == 1 else (gain * clear).clamp_max(1.0)
+
+
+def _left(state: CameraState, condition: Condition) -> Tensor | None:
+    """Share of a clear frame's signal that the medium leaves, at the exposure of a condition; ``None`` is 1."""
+    left, gain = state.image.transmission, _gain(condition)
+    if gain == 1:
+        return left
+    return torch.full_like(state.image.signal, gain) if left is None else gain * left
 
 
 def _covered(state: CameraState) -> Tensor | None:

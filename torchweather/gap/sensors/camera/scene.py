@@ -208,6 +208,24 @@ def in_blocks(cells: Tensor) -> Tensor:
     return total.mul_(1.0 / len(parts)).flatten(2)
 
 
+def block_of_colours(bayer: Tensor, pattern: str) -> Tensor:
+    """Means of each colour over blocks of mosaics ``(F, 1, H, W)``: ``(F, C, B)``."""
+    return in_blocks(cell_colours(bayer, pattern))
+
+
+def noise_of_difference(grown: Tensor, left: Tensor, lost: Tensor, of_mean: float) -> Tensor:
+    """Share a of ``clear - mean`` that is added (``CameraScene.with_noise``): ``a^2 + m (a + c t)^2 = g + m t^2``.
+
+    Args:
+        grown: g, what the light of now makes of the noise's variance.
+        left: t, share of the light that the medium leaves.
+        lost: c t, what of it particles hide.
+        of_mean: m, noise of the mean of the other clear frames over that of one.
+    """
+    square = (1.0 + of_mean) * (grown + of_mean * left.square()) - of_mean * lost.square()
+    return (square.clamp_min(0.0).sqrt() - of_mean * lost) / (1.0 + of_mean)
+
+
 def place_in(value: Tensor, edges: tuple[float, ...]) -> Tensor:
     """Bin of each value, -1 outside and for NaN."""
     place = torch.bucketize(value.double().contiguous(), torch.tensor(edges, dtype=torch.float64), right=True) - 1

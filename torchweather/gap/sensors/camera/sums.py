@@ -136,6 +136,7 @@ class CameraSums:
         signal = place_in(blocks[-1], SIGNAL).where(scene.bins["off_axis_rad"] >= 0, -1)
         axes = {axis: (bins, len(scene.edges[axis]) - 1) for axis, bins in scene.bins.items()}
         axes["modelled_signal"] = (signal, len(SIGNAL) - 1)
+        self.axes = axes  # to the bin of each block, and how many there are
         known = {name: axes[name] for name in (*ALL_COLOURS, *GREEN_ALONE) if name in axes}
         self._blocks = {
             colour: Binned(

@@ -166,6 +166,9 @@ class LidarFrames:
         assert condition.weather is not None
         return FOG_MISPLACED if "fog" in {part.kind for part in condition.weather.parts} else 0.0
 
+    def clear_noise(self, condition: Condition) -> None:
+        """A simulated frame has the noise of its clear frame."""
+
     def left_open(self, condition: Condition) -> NDArray[np.float64] | float:
         """Scatter ``(P,)`` of mean intensities by where clear readings lie within their steps: one in all frames
         of a scene."""

@@ -168,6 +168,9 @@ class LinkFrames:
         """No particles."""
         return 0.0
 
+    def clear_noise(self, condition: Condition) -> None:
+        """A simulated frame has the noise of its clear frame."""
+
     def left_open(self, condition: Condition) -> float:
         """Nothing beside how clear hours differ."""
         return 0.0

@@ -195,6 +195,9 @@ class RadarFrames:
         """No particles that a model could misplace."""
         return 0.0
 
+    def clear_noise(self, condition: Condition) -> None:
+        """A simulated frame has the noise of its clear frame."""
+
     def left_open(self, condition: Condition) -> float:
         """Nothing beside how clear frames differ."""
         return 0.0
