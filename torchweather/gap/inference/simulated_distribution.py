@@ -114,7 +114,7 @@ class FrameModel(Protocol):
         ...
 
     def clear_noise(self, condition: Condition) -> ClearNoise | None:
-        """Noise of clear frames, as far as it reaches those of a condition; ``None`` where a frame has that of its own."""
+        """Noise of clear frames, as far as it reaches a condition's; ``None`` where a frame has that of its own."""
         ...
 
     def render_near(self, condition: Condition, log_intensity: float) -> None:
