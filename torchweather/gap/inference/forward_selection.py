@@ -68,9 +68,6 @@ ADDED_SHARE, ADDED_SHARE_SURE, OF_THE_RESIDUAL = 0.03, 0.1, 0.6
 # than SURE_GAIN they may, by so much of the remainder: where they hardly show it.
 HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
 RESIDUAL_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left as a residual in such statistics
-# Of the held-out excess, that is left by effects whose form alone may differ. On development studies the glow of fog,
-# of another form than the stage's, left 0.07; what the catalogue does not have left 0.13 or more.
-REPAIRED = 0.1
 
 
 @dataclass(frozen=True)
@@ -477,7 +474,7 @@ def _verdict(
     far = after.gap > METHOD.unexplained_gap * after.floor
     rest = after.gap > METHOD.residual_gap * after.floor
     held = excess_left(before.gap, after.gap, after.floor)
-    if before.gap > METHOD.residual_gap * before.floor and held is not None and held <= REPAIRED:
+    if before.gap > METHOD.residual_gap * before.floor and held is not None and held <= METHOD.repaired_share:
         share = 0.0  # a rest, of which held-out conditions show next to nothing
     if share > UNKNOWN_SHARE or far or (rest and over > METHOD.unexplained_share):
         return "unknown"
