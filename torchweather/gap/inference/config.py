@@ -34,9 +34,10 @@ class InferenceConfig:
     # On development studies effects of the catalogue, also of another form, left at most 0.16 of it; of others those
     # with a rest left 0.24 and more.
     unexplained_share: float = 0.2
-    # Of the held-out excess, that is left by effects whose form alone may differ. On development studies the glow of fog,
-    # of another form than the stage's, left 0.07; what the catalogue does not have left 0.13 or more.
+    # Of the held-out excess, that is left by effects whose form alone may differ. On development studies the glow of
+    # fog, of another form than the stage's, left 0.07; what the catalogue does not have left 0.13 or more.
     repaired_share: float = 0.1
+    least_excess: float = 1.1  # floors, from which a held-out gap is more than the noise of that score
     # Of what an added effect gains, that must lie where those found do nothing: of one that patches another form of the
     # first effect, little does.
     fresh_share: float = 0.25

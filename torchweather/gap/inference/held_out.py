@@ -17,8 +17,6 @@ from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 
 __all__ = ["HeldOut", "excess_left", "held_out"]
 
-LEAST_EXCESS = 1.1  # of what a perfect model scores, from which a departure is more than the noise of that score
-
 
 @dataclass(frozen=True)
 class HeldOut:
@@ -54,4 +52,4 @@ def excess_left(before: float, after: float, floor: float) -> float | None:
         >>> excess_left(3.0, 1.5, 1.0), excess_left(3.0, 0.9, 1.0), excess_left(1.0, 1.0, 1.0)
         (0.25, 0.0, None)
     """
-    return max(after - floor, 0.0) / (before - floor) if before > LEAST_EXCESS * floor else None
+    return max(after - floor, 0.0) / (before - floor) if before > METHOD.least_excess * floor else None
