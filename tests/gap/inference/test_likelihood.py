@@ -357,10 +357,46 @@ def test_a_thing_is_found_on_the_better_side() -> None:
         mean=lambda point, frames: point.values[name],
         departure=lambda scatter, mean: mean,
         misfit=lambda values, nuisance: cost(values),
+        measured=[],
     )
     assert cost(start) > cost({**start, "azimuth_rad": 0.565}) > cost({**start, "azimuth_rad": 0.515})
     found = located(search, ParameterPoint({name: start}), name, base).values[name]
     assert abs(found["azimuth_rad"] - 0.515) <= 0.5 * column_rad
+
+
+def test_a_narrow_thing_is_found_within_a_bin_of_azimuth() -> None:
+    """Where the vector says nothing of the place the map of returns does, cell by cell and by what part is covered."""
+    name, truth = "lidar.static_structure", {"azimuth_rad": 0.7, "range_m": 8.0, "width_rad": 0.14}
+    cells = np.linspace(-math.pi, math.pi, 65)
+
+    def seen(values: Any) -> Any:
+        left, right = (values["azimuth_rad"] + side * values["width_rad"] for side in (-0.5, 0.5))
+        covered = np.clip(np.minimum(cells[1:], right) - np.maximum(cells[:-1], left), 0.0, None)
+        return SimpleNamespace(frames=SimpleNamespace(maps=(0.2 + 200.0 * covered)[None, None]))
+
+    search: Any = SimpleNamespace(
+        model=SimpleNamespace(forms={}, measured=lambda condition: seen(truth).frames),
+        offset=lambda point: None,
+        mean=lambda point, frames: None,
+        departure=lambda scatter, mean: None,
+        misfit=lambda values, nuisance: 0.0,
+        measured=[SimpleNamespace(condition=SimpleNamespace(id="c"), frames=5)],
+        pools=lambda point, frames: {"c": seen(point.values[name])},
+    )
+    base: Any = SimpleNamespace(base=None, nuisance=SimpleNamespace(moved=lambda offset: None))
+    for start in (0.55, 0.8):
+        point = ParameterPoint({name: {**truth, "azimuth_rad": start, "width_rad": 0.3}})
+        found = located(search, point, name, base).values[name]
+        # Steps end at 0.3 rad / 2^7, twice that in two that follow each other.
+        assert found["azimuth_rad"] == pytest.approx(truth["azimuth_rad"], abs=0.005)
+        assert found["width_rad"] == pytest.approx(truth["width_rad"], abs=0.01)
+
+
+def test_steps_of_a_fit_leave_a_thing_where_the_map_has_it(null: SimulatorLikelihood) -> None:
+    name, place = "lidar.static_structure", {"azimuth_rad": 0.7, "range_m": 8.0, "width_rad": 0.3}
+    point = ParameterPoint({name: place})
+    limits = null._limits(point, [(name, one) for one in place])
+    assert [low == high == 0.0 for low, high in zip(limits.low, limits.high, strict=True)] == [True, False, False]
 
 
 def test_no_fit_ends_worse_than_it_began(null: SimulatorLikelihood, monkeypatch: pytest.MonkeyPatch) -> None:

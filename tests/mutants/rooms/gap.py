@@ -791,4 +791,20 @@ MUTANTS = (
         "share = share  # a rest",
         (f"{SELECTION}::test_what_repairs_held_out_conditions_is_a_name_of_another_form",),
     ),
+    Mutant(
+        "things_placed_by_bins_alone",
+        "the map of returns tells where in a bin of azimuth a thing stands",
+        "torchweather.gap.inference.location_search",
+        "return misfit + _misfit_of_maps(search, tried, seen)",
+        "return misfit",
+        ("tests/gap/inference/test_likelihood.py::test_a_narrow_thing_is_found_within_a_bin_of_azimuth",),
+    ),
+    Mutant(
+        "things_moved_within_their_bin",
+        "steps of a fit leave the azimuth of a thing where the map has it",
+        "torchweather.gap.inference.likelihood",
+        "farthest = np.where(stays, 0.0, 2.0",
+        "farthest = np.where(stays, 2.0, 2.0",
+        ("tests/gap/inference/test_likelihood.py::test_steps_of_a_fit_leave_a_thing_where_the_map_has_it",),
+    ),
 )

@@ -22,6 +22,7 @@ __all__ = [
     "complexity_penalty",
     "is_another",
     "searched_effects",
+    "stands_at_a_place",
     "tried_values",
 ]
 
@@ -74,6 +75,16 @@ def effect_class(model: object, name: str) -> type[Effect]:
     """The class of an effect as a model of frames is searched with it."""
     forms: Mapping[str, type[Effect]] = getattr(model, "forms", {})
     return forms.get(name, EFFECTS[name])
+
+
+def stands_at_a_place(effect: type[Effect]) -> bool:
+    """Check whether an effect is a thing that stands in the scene: it has an azimuth, a range and a width.
+
+    Example:
+        >>> stands_at_a_place(EFFECTS["lidar.static_structure"]), stands_at_a_place(EFFECTS["lidar.sector_loss"])
+        (True, False)
+    """
+    return {"azimuth_rad", "range_m", "width_rad"} <= {one.name for one in effect.arguments}
 
 
 def tried_values(effect: type[Effect], name: str) -> tuple[float, ...]:

@@ -22,7 +22,12 @@ from numpy.typing import NDArray
 
 from torchweather.core.threads import side_by_side
 from torchweather.gap.inference.config import METHOD
-from torchweather.gap.inference.effect_forms import catalogue_effect, complexity_penalty, effect_class
+from torchweather.gap.inference.effect_forms import (
+    catalogue_effect,
+    complexity_penalty,
+    effect_class,
+    stands_at_a_place,
+)
 from torchweather.gap.inference.kept_frames import KeptFrames
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.simulated_distribution import (
@@ -664,13 +669,21 @@ class SimulatorLikelihood:
         return best
 
     def _limits(self, point: ParameterPoint, names: Sequence[tuple[str, str]]) -> Bounds:
-        """Changes that parameters may make at once: within their bounds, at most twice the typical size."""
+        """Changes that parameters may make at once: within their bounds, at most twice the typical size.
+
+        The azimuth of what stands somewhere stays: the vector does not tell in which part of a bin it is, the map did
+        (``location_search.py``).
+        """
         declared = [
             next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
             for effect, parameter in names
         ]
         values = np.array([point.values[effect][parameter] for effect, parameter in names])
-        farthest = 2.0 * np.array([one.scale for one in declared])
+        stays = [
+            parameter == "azimuth_rad" and stands_at_a_place(effect_class(self.model, effect))
+            for effect, parameter in names
+        ]
+        farthest = np.where(stays, 0.0, 2.0 * np.array([one.scale for one in declared]))
         low, high = (np.array([getattr(one, end) for one in declared]) - values for end in ("low", "high"))
         return Bounds(np.minimum(np.maximum(low, -farthest), 0.0), np.maximum(np.minimum(high, farthest), 0.0))
 
