@@ -371,6 +371,17 @@ def test_nothing_nearer_than_the_blind_zone_is_reported() -> None:
     assert float(blind.returns.range_m[blind.returns.kind != LOST].min()) >= 2.5
 
 
+def test_a_receiver_that_wakes_up_late_loses_signal_in_its_blind_zone(transform: LidarWeather) -> None:
+    """10 dB of the signal within the zone, where it is detected all the same; nothing beyond."""
+    before, after = around(transform, "lidar.blind_zone", range_m=6.0, loss_db=10.0)
+    near = before.returns.range_m < 6.0
+    assert int((near & (before.returns.signal > 0)).sum()) > 50
+    torch.testing.assert_close(after.returns.signal[near], 0.1 * before.returns.signal[near], rtol=1e-6, atol=0.0)
+    assert torch.equal(after.returns.signal[~near], before.returns.signal[~near])
+    _, sharp = around(transform, "lidar.blind_zone", range_m=6.0)
+    assert float(sharp.returns.signal[near].abs().max()) == 0.0
+
+
 def test_range_noise_is_normal_with_the_spread_asked_for(transform: LidarWeather) -> None:
     before, after = around(transform, "lidar.range_noise", std_m=0.05)
     reported = before.returns.kind != LOST

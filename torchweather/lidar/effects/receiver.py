@@ -157,12 +157,17 @@ class LidarBlindZone(Effect):
 
     Args:
         range_m: 0 to 50 m.
+        loss_db: of the receiver within that range, in dB of the signal, 0 or more. The default, infinity, lets nothing
+            through. A receiver that wakes up late has some 30 dB: the nearest flakes are seen all the same.
     """
 
     id: ClassVar[str] = "lidar.blind_zone"
     title: ClassVar[str] = "near returns are suppressed"
     term: ClassVar[str] = "blind zone (minimum range, near-range blanking)"
-    arguments: ClassVar[tuple[Parameter, ...]] = (Parameter("range_m", "m", 0.0, 50.0, scale=3.0, identity=0.0),)
+    arguments: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("range_m", "m", 0.0, 50.0, scale=3.0, identity=0.0),
+        Parameter("loss_db", "dB", 0.0, math.inf, scale=10.0, default=math.inf),
+    )
     percollect: ClassVar[str | None] = "Object closer than min. distance"
     after: ClassVar[str] = "particle_returns"
     rank: ClassVar[int] = 1
@@ -180,9 +185,10 @@ class LidarBlindZone(Effect):
         return 1.0
 
     def changes(self, state: LidarState, noise: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Signals, 0 in the zone."""
-        near = state.returns.range_m < self.value("range_m", state.returns.range_m)
-        return {"signal": torch.where(near, 0.0, state.returns.signal)}
+        """Signals, weaker in the zone or 0."""
+        signal, range_m = state.returns.signal, state.returns.range_m
+        left = torch.pow(10.0, -0.1 * self.value("loss_db", signal))
+        return {"signal": torch.where(range_m < self.value("range_m", range_m), left * signal, signal)}
 
 
 class LidarRangeNoise(Effect):

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.effect_forms import SearchForm, counted_form
+from torchweather.lidar.effects.receiver import LidarBlindZone
 from torchweather.lidar.effects.structure import (
     LidarParticleDensityAzimuth,
     LidarParticleDensityElevation,
@@ -24,7 +25,7 @@ from torchweather.lidar.effects.structure import (
 )
 from torchweather.pipeline.effect import Effect, Parameter
 
-__all__ = ["LIDAR_FORMS", "ElevationForm", "SharedForm", "WakeForm"]
+__all__ = ["LIDAR_FORMS", "BlindForm", "ElevationForm", "SharedForm", "WakeForm"]
 
 WAKE = LidarParticleDensityAzimuth.arguments[:3]
 
@@ -73,7 +74,15 @@ class SharedForm(SearchForm, LidarSharedParticles):
     tried: ClassVar[Mapping[str, tuple[float, ...]]] = {"width_factor": (1.0,)}
 
 
+class BlindForm(SearchForm, LidarBlindZone):
+    """As the catalogue's, begun with a loss at which the nearest flakes are still seen."""
+
+    complexity_penalty: ClassVar[float] = METHOD.parameter_penalty
+    tried: ClassVar[Mapping[str, tuple[float, ...]]] = {"loss_db": (30.0,)}
+
+
 LIDAR_FORMS: Mapping[str, type[Effect]] = {
+    BlindForm.id: BlindForm,
     WakeForm.id: WakeForm,
     ElevationForm.id: ElevationForm,
     LidarParticleSizes.id: counted_form(LidarParticleSizes),
