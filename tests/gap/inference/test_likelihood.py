@@ -340,9 +340,9 @@ def test_a_sector_is_found_whose_start_overlaps_half_of_it() -> None:
 
 
 def test_a_thing_is_found_on_the_better_side() -> None:
-    """Over two columns, of which one holds the thing: the other column alone costs less than both, too."""
-    name, column_rad = "lidar.static_structure", 0.05
-    start = {"azimuth_rad": 0.54, "range_m": 8.0, "width_rad": 0.0506}
+    """Over two columns, of which one is what is looked for: the other column alone costs less than both, too."""
+    name, column_rad = "lidar.sector_loss", 0.05
+    start = {"azimuth_rad": 0.54, "width_rad": 0.0506, "loss_db": 3.0}
 
     def cost(values: dict[str, float]) -> float:
         near, far = (

@@ -26,7 +26,7 @@ ACTIVE: dict[str, dict[str, float]] = {
     "lidar.window_loss": {"loss_db": 3.0},
     "lidar.extinction_scale": {"factor": 3.0},
     "lidar.wet_target": {"share": 0.5},
-    "lidar.blind_zone": {"range_m": 12.0},
+    "lidar.blind_zone": {"range_m": 12.0, "loss_db": 25.0},
     "lidar.range_noise": {"std_m": 0.2},
     "lidar.range_bias": {"offset_m": 0.1, "walk_m_per_decade": -0.25},
     "lidar.limited_extent": {"extent_m": 10.0},

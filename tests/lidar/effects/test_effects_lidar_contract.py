@@ -50,7 +50,7 @@ CATALOGUE: dict[str, dict[str, float | None]] = {
     "lidar.window_loss": {"loss_db": 0.0},
     "lidar.extinction_scale": {"factor": 1.0},
     "lidar.wet_target": {"share": 0.0},
-    "lidar.blind_zone": {"range_m": 0.0},
+    "lidar.blind_zone": {"range_m": 0.0, "loss_db": None},
     "lidar.range_noise": {"std_m": 0.0},
     "lidar.range_bias": {"offset_m": 0.0, "walk_m_per_decade": 0.0},
     "lidar.limited_extent": {"extent_m": math.inf},

@@ -92,7 +92,8 @@ def parameter_grids(
             values = list(tried)
         else:
             around = parameter.value
-            values = [around] if around * 3.0 > parameter.high else [around, min(3.0 * around, parameter.high)]
+            alone = math.isinf(around) or around * 3.0 > parameter.high
+            values = [around] if alone else [around, min(3.0 * around, parameter.high)]
         choices.append([(parameter.name, value) for value in values])
     found = []
     for fixed in itertools.product(*choices):
