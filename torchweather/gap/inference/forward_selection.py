@@ -363,7 +363,8 @@ def _earns(search: SimulatorLikelihood, best: Candidate, added: Candidate, fresh
     if added.gain < needed:
         return False
     alone = search.fit(fit.point.without(added.id), fit.nuisance, fit.base)
-    return alone.misfit - fit.misfit >= needed
+    # What is needed is a share of what the others leave: of less, where they leave less once they are fitted again.
+    return alone.misfit - fit.misfit >= needed * min(alone.misfit / best.fit.misfit, 1.0)
 
 
 def _on_top(
