@@ -469,4 +469,14 @@ MUTANTS = (
         "full = brightness_per_sr * beam.near_response(range_m)",
         ("tests/lidar/effects/test_effects_lidar_near.py::test_a_response_of_the_effect_is_one_of_the_sensor",),
     ),
+    Mutant(
+        "half_of_the_loss_in_a_blind_zone",
+        "the loss of a blind zone is that of the signal, in dB",
+        "torchweather.lidar.effects.receiver",
+        'left = torch.pow(10.0, -0.1 * self.value("loss_db", signal))',
+        'left = torch.pow(10.0, -0.05 * self.value("loss_db", signal))',
+        (
+            "tests/lidar/effects/test_effects_lidar.py::test_a_receiver_that_wakes_up_late_loses_signal_in_its_blind_zone",
+        ),
+    ),
 )
