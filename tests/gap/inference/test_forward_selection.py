@@ -476,6 +476,21 @@ def test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing(
     )
 
 
+@pytest.mark.parametrize(("alone", "earns"), [(5500.0, True), (1000.0, False)])
+def test_what_is_needed_is_a_share_of_what_the_others_leave_fitted_again(
+    monkeypatch: pytest.MonkeyPatch, alone: float, earns: bool
+) -> None:
+    """5,800 of 10,000 that a first fit left, which was not at its best: of 5,500 it is 3,190, of 1,000 it is 580."""
+    place = "torchweather.gap.inference.forward_selection"
+    monkeypatch.setattr(f"{place}.response_of", lambda *arguments: np.zeros(1))
+    monkeypatch.setattr(f"{place}.explained_beside", lambda *arguments: np.zeros(1))
+    first: Any = SimpleNamespace(fit=SimpleNamespace(misfit=10_000.0))
+    both = SimpleNamespace(misfit=600.0, nuisance=None, base=None, point=SimpleNamespace(without=lambda name: None))
+    added: Any = SimpleNamespace(id=BIAS, fit=both, gain=9400.0)
+    search: Any = SimpleNamespace(fit=lambda *arguments: SimpleNamespace(misfit=alone))
+    assert _earns(search, first, added, math.inf, 5800.0) == earns
+
+
 def test_a_further_effect_must_gain_what_it_needs_also_over_the_others_fitted_again() -> None:
     search = likelihood_of(LinearSimulator([effect(WINDOW, 2.0), effect(NOISE, 0.3)]))
     base = search.begin()

@@ -807,4 +807,12 @@ MUTANTS = (
         "farthest = np.where(stays, 2.0, 2.0",
         ("tests/gap/inference/test_likelihood.py::test_steps_of_a_fit_leave_a_thing_where_the_map_has_it",),
     ),
+    Mutant(
+        "share_of_what_a_poor_first_fit_left",
+        "an added effect needs a share of what the others leave once they are fitted again",
+        "torchweather.gap.inference.forward_selection",
+        "needed * min(alone.misfit / best.fit.misfit, 1.0)",
+        "needed",
+        (f"{SELECTION}::test_what_is_needed_is_a_share_of_what_the_others_leave_fitted_again",),
+    ),
 )
