@@ -381,3 +381,38 @@ def test_the_spread_of_misplaced_particles_is_known_to_a_fifth() -> None:
 def test_only_what_lies_along_the_range_of_particles_is_misplaced() -> None:
     pool = Pool(one_bin("count"), reduced(np.ones(3), np.full(3, 100.0), np.full(3, 100.0)))
     np.testing.assert_array_equal(pool.known_to(2, 0.5), pool.known_to(2))
+
+
+def test_a_mean_of_what_weather_leaves_of_a_bin_does_not_count() -> None:
+    """Of 100 beams in each bin 60, 40 and 4 are seen in weather; a spread and another mean of them count as ever."""
+    edges = (0.0, 1.0, 2.0, 3.0)
+    groups = (Group("level", "x", "mean", edges), Group("level", "x", "spread", edges), Group("it", "x", "mean", edges))
+    layout = Layout(groups, ("level",), (1e-3,), (), of_seen=("level",))
+
+    def pool(weight: list[float], frames: int) -> Pool:
+        rows = np.tile(weight, (frames, len(groups)))
+        return Pool(layout, reduced(rows, rows, rows, scalar=np.zeros((frames, 1))))
+
+    # One clear frame or five of them: a frame is compared with a frame.
+    for number in (1, 5):
+        found = pool([60.0, 40.0, 4.0], 2).mostly_seen(pool([100.0] * 3, number))
+        np.testing.assert_array_equal(found, [True, False, False] + [True] * 8)
+
+
+@pytest.mark.parametrize(("near", "share"), [(1000.0, 0.06), (30.0, 1.0), (0.0, 0.0)])
+def test_frames_may_be_alike_where_few_particles_may_lie_beyond_an_edge(near: float, share: float) -> None:
+    """Of 2,000 particles 60 may lie elsewhere: all of 30 near ones, but 6 % of 1,000."""
+    steady = 0.35
+    layout = Layout(
+        (Group("it", "particle_range_m", "count", (0.0, 1.0, 2.0, 3.0)),),
+        ("near",),
+        (steady,),
+        (),
+        near_counts=("near",),
+    )
+    values = np.tile([near, 2000.0 - near, 0.0], (4, 1))
+    pool = Pool(layout, reduced(np.ones((4, 3)), values, values, scalar=np.full((4, 1), math.sqrt(near + 0.375))))
+    assert pool.known_to(4)[3] == 0.0
+    # Counts scatter by 0.5; where there are none, by what is called alike.
+    alike = math.log(math.hypot(0.5, steady) / steady)
+    assert pool.known_to(4, 0.03)[3] == pytest.approx(share * alike, rel=1e-9)

@@ -191,6 +191,25 @@ MUTANTS = (
         ("tests/gap/statistics/test_frame_statistics.py::test_misplaced_particles_move_what_stays_in_its_place",),
     ),
     Mutant(
+        "means_of_the_few_that_are_left",
+        "a mean of the few beams of a bin that weather leaves is none of the bin",
+        "torchweather.gap.inference.simulated_distribution",
+        "pool.enough(number) & pool.mostly_seen(Pool(model.layout, model.clear(condition.scene)))",
+        "pool.enough(number)",
+        ("tests/gap/sensors/lidar/test_lidar_frames.py::test_intensities_of_a_bin_that_fog_hides_do_not_count",),
+    ),
+    Mutant(
+        "near_fog_known_to_differ",
+        "frames may be alike where the few near particles may lie beyond the edge",
+        "torchweather.gap.statistics.frame_statistics",
+        "share = min(misplaced * number / max(near, TINY), 1.0) if near > 0 else 0.0",
+        "share = 0.0",
+        (
+            "tests/gap/statistics/test_frame_statistics.py::"
+            "test_frames_may_be_alike_where_few_particles_may_lie_beyond_an_edge",
+        ),
+    ),
+    Mutant(
         "range_noise_of_a_logarithm",
         "the stage that copies a spread of range has it in metres",
         "torchweather.gap.inference.empirical_fit",

@@ -179,7 +179,8 @@ def observations(model: FrameModel, conditions: Sequence[Condition]) -> list[Obs
         number, clear = len(pool), model.clear_frames[condition.scene]
         vector = pool.vectors(np.arange(number)[None], condition.time_s)[0]
         known = (model.misplaced(condition), clear, model.left_open(condition), model.clear_noise(condition))
-        found.append(Observation(condition, vector, pool.enough(number), number, *known))
+        enough = pool.enough(number) & pool.mostly_seen(Pool(model.layout, model.clear(condition.scene)))
+        found.append(Observation(condition, vector, enough, number, *known))
     return found
 
 

@@ -97,6 +97,8 @@ class Layout:
         about_clear_mean: squares, or products of two elements, about the mean of the clear frames.
         scatter_share: statistics whose variance is not what portions, or simulated frames, tell: its ratio to that.
         same_events: counted statistics to another one that counts the same events.
+        of_seen: statistics whose values also decide which elements are seen in weather.
+        near_counts: scalars that are stabilised numbers of particles nearer than an edge of range.
     """
 
     binned: tuple[Group, ...]
@@ -108,6 +110,8 @@ class Layout:
     about_clear_mean: tuple[str, ...] = ()
     scatter_share: Mapping[str, float] = field(default_factory=dict)
     same_events: Mapping[str, str] = field(default_factory=dict)
+    of_seen: tuple[str, ...] = ()
+    near_counts: tuple[str, ...] = ()
 
     @property
     def groups(self) -> tuple[Group, ...]:
@@ -359,7 +363,7 @@ class Pool:
                 steady = self.layout.steady[self.layout.scalars.index(group.statistic)]
                 found.append(np.full(group.bins, steady / math.sqrt(max(number, 3) / 12.0)))
             elif group.kind == "between":
-                found.append(np.zeros(group.bins))
+                found.append(np.full(group.bins, self._between_known_to(group.statistic, misplaced)))
             else:
                 part = slice(start, start + group.bins)
                 start += group.bins
@@ -370,6 +374,23 @@ class Pool:
                     known_to = np.hypot(known_to, _known_to(group.kind, weight[part], value[part], misplaced))
                 found.append(known_to)
         return np.concatenate(found)
+
+    def _between_known_to(self, scalar: str, misplaced: float) -> float:
+        """Error that misplaced particles make in how a near number of them differs from frame to frame.
+
+        As far as all of those may lie beyond the edge, frames may be alike.
+        """
+        if misplaced <= 0 or scalar not in self.layout.near_counts:
+            return 0.0
+        place = self.layout.scalars.index(scalar)
+        near = float(np.maximum(self.frames.scalar[:, place] ** 2 - ANSCOMBE, 0.0).mean())
+        number = sum(
+            float(self.frames.value[:, part].sum(1).mean())
+            for group, part in zip(self.layout.binned, self.layout.slices, strict=False)
+            if group.kind == "count"
+        )
+        share = min(misplaced * number / max(near, TINY), 1.0) if near > 0 else 0.0
+        return share * 0.5 * math.log1p((COUNTING / self.layout.steady[place]) ** 2)
 
     def enough(self, number: int) -> NDArray[np.bool_]:
         """Entries ``(size,)`` for which ``number`` frames hold enough to count."""
@@ -386,6 +407,19 @@ class Pool:
                 found.append(part >= FEWEST[group.kind] if group.kind in FEWEST else np.ones(group.bins, bool))
                 start += group.bins
         return np.concatenate(found)
+
+    def mostly_seen(self, clear: Pool) -> NDArray[np.bool_]:
+        """Entries ``(size,)`` that are no mean over a selection of what clear frames see (``Layout.of_seen``).
+
+        Where weather hides most of a bin, the mean of the rest is that of the nearest and the brightest. How many and
+        which they are depends on a signal's noise at the threshold, which clear frames tell to their own noise only.
+        """
+        found = np.ones(self.layout.size, dtype=np.bool_)
+        seen, all_of_them = self.frames.weight.mean(0), clear.frames.weight.mean(0)
+        selected = self.layout.each(lambda group: group.is_average_of(group.statistic))[: self.layout.bins]
+        selected &= self.layout.each(lambda group: group.statistic in self.layout.of_seen)[: self.layout.bins]
+        found[: self.layout.bins] = ~selected | (seen >= METHOD.mostly_seen_share * all_of_them)
+        return found
 
 
 def _known_to(kind: str, weight: Floats, value: Floats, misplaced: float) -> Floats:

@@ -13,11 +13,12 @@ import torch
 from tests.gap.tiny_study import INTENSITY_NOISE, RANGE_NOISE_M, SENSOR, tiny_study
 from torchweather.atmosphere.weather import Fog, Rain, Snow
 from torchweather.core.compiled import SWITCH
+from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.sensors.lidar.scene import CLUSTER_M
 from torchweather.gap.sensors.lidar.stable_beams import SAME_SURFACE_M
 from torchweather.gap.sensors.lidar.systematics import WeakSignalNoise
-from torchweather.gap.statistics.frame_statistics import Reduced
+from torchweather.gap.statistics.frame_statistics import Pool, Reduced
 from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.transforms import LidarWeather
@@ -444,3 +445,19 @@ def test_one_thread_and_two_agree(study: Study) -> None:
     for name in ("weight", "maps"):
         np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
     assert_same(found[0], found[1], 3e-6)
+
+
+def test_intensities_of_a_bin_that_fog_hides_do_not_count(model: LidarFrames, study: Study) -> None:
+    """Of the mean of far surfaces few are left; how many are lost does count there."""
+    fog = next(one for one in observations(model, model.fit) if one.condition.weather.parts[0].kind == "fog")
+    frames, clear = model.measured(fog.condition), model.clear(fog.condition.scene)
+    enough = Pool(model.layout, frames).enough(fog.frames)
+    hidden = 0
+    for one, part in zip(model.layout.binned, model.layout.slices, strict=False):
+        expected = enough[part]
+        if (one.statistic, one.kind) == ("log_intensity_ratio", "mean"):
+            left = frames.weight[:, part].sum(0) / FRAMES < 0.5 * clear.weight[:, part].sum(0) / CLEAR
+            hidden += int((expected & left).sum())
+            expected = expected & ~left
+        np.testing.assert_array_equal(fog.enough[part], expected)
+    assert hidden >= 3

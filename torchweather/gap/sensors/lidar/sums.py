@@ -65,6 +65,7 @@ MAPS = ("particles",)
 FROM_CLEAR = ("log_intensity_spread", "range_residual_spread")  # noise that simulated frames have from clear ones
 
 ABOUT_CLEAR_MEAN = ("range_residual_spread",)
+OF_SEEN = ("log_intensity_ratio",)
 SAME_EVENTS = {
     "lost_share_of_thin_targets": "lost_share",
     "particles_before_objects": "new_share",
@@ -113,6 +114,8 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, b
         FROM_CLEAR,
         about_clear_mean=ABOUT_CLEAR_MEAN,
         same_events=SAME_EVENTS,
+        of_seen=OF_SEEN,
+        near_counts=("near_particle_root",),
     )
 
 
