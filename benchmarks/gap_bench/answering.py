@@ -28,9 +28,9 @@ def answer(
         other_metrics: of the sensor.
 
     Returns:
-        ``seconds``, and ``report`` (as ``gap.json``), or ``error`` where the workflow refuses the study. Where an
-        effect is named also ``other_metrics``, if the sensor has some; their time does not count. Any other exception
-        is a fault of the workflow: it breaks the run off and is no answer.
+        ``seconds``, and ``report`` (as ``gap.json``), or ``error`` where the workflow refuses the study; also
+        ``other_metrics``, if the sensor has some; their time does not count. Any other exception is a fault of the
+        workflow: it breaks the run off and is no answer.
     """
     from torchweather.gap import find_gap
 
@@ -41,7 +41,7 @@ def answer(
     except TorchweatherError as error:
         return {"seconds": round(time.perf_counter() - start, 2), "error": str(error)}
     found = {"seconds": round(time.perf_counter() - start, 2), "report": report.to_dict()}
-    if found["report"]["effects"] and other_metrics is not None:
+    if other_metrics is not None:
         with one_thread_an_operation():
             found["other_metrics"] = other_metrics(study, report, seed)
     return found

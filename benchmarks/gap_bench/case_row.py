@@ -9,19 +9,20 @@ import numpy as np
 
 from torchweather.stages.catalogue import EFFECTS
 
-__all__ = ["NONE", "UNKNOWN", "Row", "row_of"]
+__all__ = ["NONE", "UNKNOWN", "Row", "metric_floors", "row_of"]
 
 Row = dict[str, Any]
 NONE, UNKNOWN = "none", "unknown"
 
 
-def row_of(truth: Row, answer: Row, known: Row) -> Row:
+def row_of(truth: Row, answer: Row, known: Row, floors: Mapping[str, float] | None = None) -> Row:
     """Compare an answer with the truth of its case.
 
     Args:
         truth: as sealed.
         answer: line of ``run``.
         known: line of ``known``; empty where there is none.
+        floors: of metrics that no search uses (``metric_floors``); 1 of what is left out.
     """
     report = answer.get("report") or {}
     verdict = "refused" if answer.get("error") else report.get("verdict", "")
@@ -58,7 +59,7 @@ def row_of(truth: Row, answer: Row, known: Row) -> Row:
         "p_value": report.get("p_value"),
         "seconds": answer.get("seconds"),
         "intervals": _intervals(truth, effects, (known.get("report") or {}).get("effects") or []),
-        "other_metrics": _shrunk(answer.get("other_metrics")),
+        "other_metrics": _shrunk(answer.get("other_metrics"), floors or {}),
         "right_axis": _right_axis(truth, report),
         "right": None,
     }
@@ -112,20 +113,38 @@ def _ratio(interval: list[Any], other: list[Any] | None) -> float | None:
     return width / known if np.isfinite(width) and np.isfinite(known) and known > 0.0 else None
 
 
-# Gaps before, in units of the simulator's distance from itself, from which shrinking means something.
-STANDS_OUT = 2.0
+# Gaps before, over the floor, from which shrinking means something; null studies that tell a floor.
+STANDS_OUT, LEAST_NULLS = 2.0, 4
 
 
-def _shrunk(gaps: Row | None) -> dict[str, float] | None:
+def metric_floors(truths: Mapping[str, Row], answers: Mapping[str, Row]) -> dict[str, dict[str, float]]:
+    """Weather to metric to the gap that the model leaves where nothing is hidden: root mean square, 1 at least.
+
+    Two codes of one weather do not agree to the noise of such a metric: where an echo of fog lies on its flank moves
+    the mean range of all returns. No effect that is added can take that off.
+    """
+    found: dict[str, list[Row]] = {}
+    for case, one in answers.items():
+        truth = truths.get(case)
+        if truth and truth["family"] == "null" and not truth["options"].get("screen") and one.get("other_metrics"):
+            found.setdefault(truth["weather"], []).append(one["other_metrics"]["before"])
+    return {
+        weather: {name: max(float(np.sqrt(np.mean([gaps[name] ** 2 for gaps in each]))), 1.0) for name in each[0]}
+        for weather, each in found.items()
+        if len(each) >= LEAST_NULLS
+    }
+
+
+def _shrunk(gaps: Row | None, floors: Mapping[str, float]) -> dict[str, float] | None:
     """Excess over the floor that is left, over the excess before, of each metric that stood out."""
     if gaps is None:
         return None
-    after = gaps["after"]
-    return {
-        name: max(after[name] - 1.0, 0.0) / (value - 1.0)
-        for name, value in gaps["before"].items()
-        if value >= STANDS_OUT
-    }
+    found = {}
+    for name, before in gaps["before"].items():
+        floor = floors.get(name, 1.0)
+        if before >= STANDS_OUT * floor:
+            found[name] = max(gaps["after"][name] - floor, 0.0) / (before - floor)
+    return found
 
 
 # Words by which an answer's axis is recognised; any other by its own.

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from .case_row import NONE, UNKNOWN, Row, row_of
+from .case_row import NONE, UNKNOWN, Row, metric_floors, row_of
 
 __all__ = ["score", "wilson"]
 
@@ -50,8 +50,13 @@ def score(
         floors: held-out gap after over its floor, up to which it counts as near.
         alone: lines of ``time``: seconds of some studies, searched by one process alone; none: those of the answers.
     """
-    told, timed = _first(known), _first(alone)
-    rows = [row_of(truths[case], one, told.get(case, {})) for case, one in _first(answers).items() if case in truths]
+    told, timed, answered = _first(known), _first(alone), _first(answers)
+    left = metric_floors(truths, answered)
+    rows = [
+        row_of(truths[case], one, told.get(case, {}), left.get(truths[case]["weather"]))
+        for case, one in answered.items()
+        if case in truths
+    ]
     singles = [row for row in rows if row["family"] == "single"]
     clear_cut = [row for row in singles if row["identifiable"] and row["level"] >= 10.0]
     several = [row for row in rows if row["family"] in ("pair", "triple")]
@@ -94,6 +99,7 @@ def score(
         "parameter_off_over_departure": _offs(row for row in rows if row["exact"] and row["same_form"]),
         "interval_width_over_known": _widths(row for row in rows if row["exact"]),
         "other_metrics_after_over_before": _other(row for row in rows if row["exact"]),
+        **({"other_metrics_floors": left} if left else {}),
         "gap_after_near_floor": {
             **share(named, lambda row: row["gap_after_over_floor"] <= floors),
             "floors": floors,

@@ -187,6 +187,29 @@ def test_what_is_left_of_the_other_metrics_is_of_those_that_stood_out():
     assert found["other_metrics_after_over_before"]["median"] is None
 
 
+def test_what_two_codes_differ_by_is_no_excess_that_an_effect_leaves():
+    """Nulls of the same weather leave 3 at the root mean square: of 13 that an effect leaves 5, that is a fifth."""
+    truths = {"a": _truth("a"), **{f"n{k}": {**_truth(f"n{k}"), "family": "null", "effects": []} for k in range(4)}}
+    gaps = {"before": {"returns": 13.0, "lost": 5.9}, "after": {"returns": 5.0, "lost": 5.9}}
+    quiet = [{"returns": value, "lost": 3.0} for value in (1.0, 3.0, 1.0, 5.0)]
+    answers = [{"case": "a", **_answer(other_metrics=gaps)}]
+    answers += [
+        {
+            "case": f"n{k}",
+            "seconds": 1.0,
+            "report": {"verdict": "none", "effects": []},
+            "other_metrics": {"before": one, "after": one},
+        }
+        for k, one in enumerate(quiet)
+    ]
+    table = score(truths, answers)["table"]
+    assert table["other_metrics_floors"] == {truths["a"]["weather"]: {"returns": 3.0, "lost": 3.0}}
+    assert table["other_metrics_after_over_before"]["by_metric"] == {"returns": pytest.approx(0.2)}
+    few = score({case: truths[case] for case in ("a", "n0", "n1", "n2")}, answers)["table"]  # too few to tell
+    assert "other_metrics_floors" not in few
+    assert few["other_metrics_after_over_before"]["by_metric"]["returns"] == pytest.approx(1.0 / 3.0)
+
+
 def test_a_null_needs_no_table_of_strengths(monkeypatch):
     def refuse(*arguments):
         raise AssertionError("a detector was made")

@@ -205,8 +205,10 @@ MUTANTS = (
         "share = min(misplaced * number / max(near, TINY), 1.0) if near > 0 else 0.0",
         "share = 0.0",
         (
-            "tests/gap/statistics/test_frame_statistics.py::"
-            "test_frames_may_be_alike_where_few_particles_may_lie_beyond_an_edge",
+            (
+                "tests/gap/statistics/test_frame_statistics.py::"
+                "test_frames_may_be_alike_where_few_particles_may_lie_beyond_an_edge"
+            ),
         ),
     ),
     Mutant(

@@ -61,13 +61,16 @@ def other_metrics(study: Study, report: GapReport, seed: int) -> dict[str, dict[
         seed: of the simulation.
 
     Returns:
-        ``before`` and ``after``: metric to its root mean square over the held-out conditions, in units of the
-        simulator's distance from itself. A perfect model has about 1.
+        ``before`` and ``after``, the same where nothing was found: metric to its root mean square over the held-out
+        conditions, in units of the simulator's distance from itself. A perfect model has about 1.
     """
     scenes = {name: _Clear(study, name) for name in study.scenes}
     held = [one for one in study.holdout if one.weather is not None]
     found = {}
     for side in ("before", "after"):
+        if side == "after" and not report.effects:
+            found[side] = found["before"]
+            break
         gaps = [
             _against(study, condition, scenes[condition.scene], report, side, [seed, number])
             for number, condition in enumerate(held)

@@ -46,21 +46,51 @@ PAIRS = (
 )
 
 
+MORE_PAIRS = (
+    *(("wet_radome", "path_loss_scale"), ("wet_radome", "wet_rcs"), ("cfar_shift", "detection_limit")),
+    *(("noise_floor", "interference"), ("multipath", "volume_clutter"), ("doppler_spread", "range_migration")),
+    *(("pattern_tilt", "wet_rcs"), ("fluctuation", "doppler_spread"), ("path_loss_scale", "volume_clutter")),
+    *(("interference", "range_migration"), ("wet_radome", "multipath"), ("detection_limit", "noise_floor")),
+    *(("fluctuation", "wet_rcs"), ("pattern_tilt", "cfar_shift"), ("volume_clutter", "interference")),
+    ("path_loss_scale", "fluctuation"),
+)
+"""The first seven are such as the catalogue calls confusable."""
+PAIR_LEVELS = ((30.0, 30.0), (30.0, 10.0), (10.0, 10.0))
+TRIPLES = (
+    *(("wet_radome", "doppler_spread", "volume_clutter"), ("noise_floor", "range_migration", "wet_rcs")),
+    *(("path_loss_scale", "multipath", "fluctuation"), ("interference", "pattern_tilt", "volume_clutter")),
+    *(("cfar_shift", "doppler_spread", "wet_radome"), ("detection_limit", "range_migration", "path_loss_scale")),
+    *(("multipath", "wet_rcs", "noise_floor"), ("fluctuation", "interference", "range_migration")),
+    *(("pattern_tilt", "detection_limit", "doppler_spread"), ("volume_clutter", "wet_rcs", "cfar_shift")),
+    *(("wet_radome", "fluctuation", "noise_floor"), ("path_loss_scale", "pattern_tilt", "multipath")),
+)
+
+
 def _pairs(seed: int) -> Iterator[Row]:
     for number, (first, second) in enumerate(PAIRS):
         levels = ((30.0, 30.0), (30.0, 10.0))[number % 2]
         yield ("rain", "snow")[(number + seed) % 2], (f"radar.{first}", f"radar.{second}"), levels, None, {}
+    for number, (first, second) in enumerate(MORE_PAIRS):
+        weather = ("rain", "snow", "rain", "fog")[(number + seed) % 4]
+        yield weather, (f"radar.{first}", f"radar.{second}"), PAIR_LEVELS[number % len(PAIR_LEVELS)], None, {}
+
+
+def _triples(seed: int) -> Iterator[Row]:
+    for number, names in enumerate(TRIPLES):
+        weather = ("rain", "snow", "rain", "fog")[(number + seed) % 4]
+        yield weather, tuple(f"radar.{name}" for name in names), (30.0, 30.0, 30.0), None, {}
 
 
 def _outside(seed: int) -> Iterator[Row]:
-    for number, name in enumerate((*OUTSIDE, *OUTSIDE)):
-        level = 30.0 if number < len(OUTSIDE) else 10.0
-        yield WEATHERS[(number + seed) % 3], (name,), (level,), None, {}
+    """Each kind at d' of 30, 10 and 30 again, in other weathers."""
+    for turn, level in enumerate((30.0, 10.0, 30.0)):
+        for number, name in enumerate(OUTSIDE):
+            yield WEATHERS[(number + turn * len(OUTSIDE) + seed) % 3], (name,), (level,), None, {}
 
 
 def _decoys(seed: int) -> Iterator[Row]:
-    for number, name in enumerate(DECOYS):
-        yield WEATHERS[(number + seed) % 3], (), (), None, {"decoy": name}
+    for number, name in enumerate((*DECOYS, *DECOYS)):
+        yield WEATHERS[(number + number // len(DECOYS) + seed) % 3], (), (), None, {"decoy": name}
 
 
 def _reduced(seed: int) -> Iterator[Row]:
@@ -79,6 +109,7 @@ GROUPS: dict[str, Callable[[int], Iterator[Row]]] = {
     "singles": _singles,
     "nulls": lambda seed: null_rows(WEATHERS, Size(clear_frames=2, rates=3, frames=2)),
     "pairs": _pairs,
+    "triples": _triples,
     "outside": _outside,
     "decoys": _decoys,
     "screen": lambda seed: screen_rows(WEATHERS, Size().fewer_targets()),
@@ -265,7 +296,7 @@ def _builder(
 
 SENSOR = BenchSensor(
     groups=tuple(GROUPS),
-    usual=("singles", "nulls", "pairs", "outside", "decoys"),
+    usual=("singles", "nulls", "pairs", "triples", "outside", "decoys"),
     plan=plan,
     builder=_builder,
     bars=other_bars(SECONDS),
