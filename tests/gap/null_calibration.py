@@ -27,7 +27,7 @@ from tests.gap.tiny_study import tiny_study
 from torchweather.core.threads import one_thread_an_operation
 from torchweather.gap import Study
 from torchweather.gap.find import MODELS
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import METHOD, NUMERICS
 from torchweather.gap.inference.degrees_of_freedom import as_of_known_noise
 from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.global_test import run_global_test
@@ -80,7 +80,7 @@ def null_study(study: Study, templates: bool = True) -> NullStudy:
         fit = search.begin()
         effects = [effect_class(model, name) for name in model.catalogue]
         alarm = run_global_test(search, effects, fit, 0) if templates else None
-    noise = fit.nuisance(search.null_residuals(fit.nuisance, METHOD.null_draws, 0))
+    noise = fit.nuisance(search.null_residuals(fit.nuisance, NUMERICS.null_draws, 0))
     left, groups = fit.nuisance.left(fit.residual), model.layout.groups
     statistic = np.tile(
         np.repeat([group.statistic for group in groups], [group.bins for group in groups]), len(search.measured)

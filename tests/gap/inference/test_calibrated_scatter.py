@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from torchweather.gap.inference.calibrated_scatter import CalibratedScatter, MeasuredSize, calibrated_scatter
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import SCATTER
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Pool, Reduced
 
 BINS, FRAMES, CLEAR, POOL = 40, 6, 8, 48
@@ -87,7 +87,7 @@ def test_no_rare_count_departs_by_more_than_its_deviance(mean: float) -> None:
         departure = (np.sqrt(count + 0.375) - np.sqrt(expected + 0.375)) / scatter
         deviance = 2.0 * (count * np.log(count / expected) - count + expected)
         # The root is not quite the root of the deviance: 12 % at most, up to eight events.
-        assert departure < 1.12 * max(np.sqrt(deviance), METHOD.one_event_sd / 2.0)
+        assert departure < 1.12 * max(np.sqrt(deviance), SCATTER.one_event_sd / 2.0)
 
 
 @pytest.mark.parametrize("least", [0.0, 0.3])
@@ -131,7 +131,7 @@ def spreads(clear: int, seed: int, uneven: float = 0.0) -> tuple[NDArray[np.floa
     unit = 0.15 / math.sqrt(3.0)  # the logarithm of a root: half of 30 %
     elements = unit * 0.9 * np.exp(uneven * rng.normal(size=BINS))
     found = calibrated_scatter({"snow": pool}, {"snow": MeasuredSize(3, clear)}, {"snow": elements}, seed)["snow"]
-    return np.sqrt(found.own - METHOD.log_spread_error**2) / unit, found.degrees_of_freedom
+    return np.sqrt(found.own - SCATTER.log_spread_error**2) / unit, found.degrees_of_freedom
 
 
 def test_few_clear_frames_do_not_make_a_spread_sure() -> None:
@@ -140,12 +140,12 @@ def test_few_clear_frames_do_not_make_a_spread_sure() -> None:
     logs = np.log(ratio)
     assert abs(logs.mean()) < 0.1
     assert logs.std() < 0.2  # 0.38 by five frames alone
-    assert np.median(degrees_of_freedom) > METHOD.element_law_degrees
+    assert np.median(degrees_of_freedom) > SCATTER.element_law_degrees
 
 
 def test_elements_that_say_little_of_a_spread_are_not_believed() -> None:
     degrees_of_freedom = np.concatenate([spreads(5, seed, uneven=1.5)[1] for seed in range(5)])
-    assert np.median(degrees_of_freedom) < 4.0 + 0.2 * METHOD.element_law_degrees
+    assert np.median(degrees_of_freedom) < 4.0 + 0.2 * SCATTER.element_law_degrees
 
 
 def test_what_clear_frames_leave_open_is_known_and_one_error_of_a_scene() -> None:

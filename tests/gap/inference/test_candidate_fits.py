@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 
 from torchweather.gap.inference.candidate_fits import (
-    FAR,
-    PROFILE_ROUNDS,
     _least,
     _profiled_along,
     _refined,
     from_rest,
 )
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.likelihood import ParameterPoint
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
@@ -49,7 +47,7 @@ def test_nuisances_are_profiled_beside_weak_strengths_of_either_sign_and_on_alon
     asked = []
 
     def profile_beside(point: ParameterPoint, like: Any, rounds: int) -> Any:
-        assert (like, rounds) == (BASE, PROFILE_ROUNDS)
+        assert (like, rounds) == (BASE, NUMERICS.profile_rounds)
         factor = point.values["lidar.extinction_scale"]["factor"]
         asked.append(factor)
         return point, factor, 200.0 + 5e4 * (factor - truth) ** 2
@@ -83,9 +81,9 @@ def test_an_effect_whose_identity_is_infinitely_far_is_profiled_at_its_points() 
 @pytest.mark.parametrize(
     ("misfits", "best", "rounds"),
     [
-        ([90.0, 80.0, 70.0, 60.0], 70.0, METHOD.reweightings),  # no more than so often
+        ([90.0, 80.0, 70.0, 60.0], 70.0, NUMERICS.reweightings),  # no more than so often
         ([90.0, 89.0, 10.0], 89.0, 2),  # a round that gains little is the last
-        ([100.0 + METHOD.converged_chi2, 10.0], 100.0, 1),  # none that is worse is taken
+        ([100.0 + NUMERICS.converged_chi2, 10.0], 100.0, 1),  # none that is worse is taken
     ],
 )
 def test_a_fit_is_taken_up_with_the_scatter_where_it_stands(misfits: list[float], best: float, rounds: int) -> None:
@@ -103,7 +101,7 @@ def test_a_fit_is_taken_up_with_the_scatter_where_it_stands(misfits: list[float]
     assert asked == [f"point {number}" for number in range(rounds)]
 
 
-@pytest.mark.parametrize(("farthest", "amplitude"), [(4.0, 1.0 - FAR / 8.0), (1.0, 1.0 - 1.0 / 8.0)])
+@pytest.mark.parametrize(("farthest", "amplitude"), [(4.0, 1.0 - NUMERICS.far_sd / 8.0), (1.0, 1.0 - 1.0 / 8.0)])
 def test_from_rest_nothing_stands_farther_than_it_may_and_by_no_more_than_two_of_its_units(
     farthest: float, amplitude: float
 ) -> None:

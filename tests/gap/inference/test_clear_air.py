@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from torchweather.gap.inference.clear_air import ClearAir, clear_air
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import SCATTER
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Reduced
 
 BINS, WEIGHT = 6, 400.0
@@ -59,8 +59,8 @@ def test_a_laser_that_drifts_is_told_with_what_and_by_how_much() -> None:
 
 
 def test_scenes_with_too_few_frames_are_left_out() -> None:
-    few = METHOD.clear_frames_min - 1
-    assert [one.scene for one in found(s0=frames(few, 1), s1=frames(METHOD.clear_frames_min, 1))] == ["s1"]
+    few = SCATTER.clear_frames_min - 1
+    assert [one.scene for one in found(s0=frames(few, 1), s1=frames(SCATTER.clear_frames_min, 1))] == ["s1"]
 
 
 def test_frames_that_are_copies_do_not_differ() -> None:

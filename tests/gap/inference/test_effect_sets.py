@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.effect_sets import best_effect_pairs, best_single_effects
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.starting_points import ParameterGrid
@@ -55,7 +55,7 @@ def test_pairs_are_of_different_effects_each_once_best_first_and_better_than_one
     def gain(*places: int) -> float:
         """By least squares of the amplitudes that lie within 0 and 1.35."""
         columns = responses[list(places)].T
-        found = lsq_linear(columns, residual, METHOD.template_amplitudes)
+        found = lsq_linear(columns, residual, NUMERICS.template_amplitudes)
         return float((residual**2).sum() - 2.0 * found.cost)
 
     found = best_effect_pairs(templates(responses), residual, nuisance, bounds, 0.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS, SCATTER
 from torchweather.gap.inference.events_along_axes import EventsAlongAxes, events_along_axes
 from torchweather.gap.inference.simulated_distribution import ElementNoise, Whitening
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Pool, Reduced
@@ -50,7 +50,7 @@ def drawn(mean: float, number: int) -> NDArray[np.float64]:
 
 def test_correlations_are_those_of_events_that_are_counted_on_every_axis() -> None:
     number, mean = 4000, 2.0
-    found = events_along_axes(LAYOUT, {"snow": made(mean, METHOD.pool_frames)}).correlation
+    found = events_along_axes(LAYOUT, {"snow": made(mean, NUMERICS.pool_frames)}).correlation
     counts = drawn(mean, number)[:, :COUNTS]
     # The scatter of a correlation of so many, five of those; the prior of half an event in 96 moves it by 1 %.
     np.testing.assert_allclose(found[:COUNTS, :COUNTS], np.corrcoef(counts.T), atol=5.0 / np.sqrt(number) + 0.01)
@@ -74,7 +74,7 @@ def test_one_event_at_an_unseen_place_departs_once() -> None:
         everywhere[part] = 1.0 / np.sqrt(part.stop - part.start)  # as events go on each axis
     apart = whitening(everywhere)
     # Three axes that are alike but for the shrinkage count as one; without correlations they count as three.
-    assert apart @ apart == pytest.approx(3.0 / (1.0 + 2.0 * (1.0 - METHOD.shrinkage)))
+    assert apart @ apart == pytest.approx(3.0 / (1.0 + 2.0 * (1.0 - SCATTER.shrinkage)))
     alone = EventsAlongAxes(np.eye(LAYOUT.size), events.unseen)
     apart = Whitening.of(noise, {"snow": np.ones(LAYOUT.size)}, alone)(everywhere)
     assert apart @ apart == pytest.approx(3.0)

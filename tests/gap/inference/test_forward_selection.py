@@ -21,8 +21,6 @@ from torchweather.atmosphere.weather import Snow
 from torchweather.gap.find import find_gap
 from torchweather.gap.inference import forward_selection
 from torchweather.gap.inference.candidate_fits import (
-    CLOSE,
-    PROFILED_BESIDE,
     Candidate,
     _start,
     best_of_each_set,
@@ -31,14 +29,8 @@ from torchweather.gap.inference.candidate_fits import (
     pairs_from_rest,
     unscaled_templates,
 )
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import METHOD, NUMERICS
 from torchweather.gap.inference.forward_selection import (
-    HELD_GAIN,
-    HELD_LOSS,
-    REFITTED,
-    RESIDUAL_SHARE,
-    SURE_GAIN,
-    UNKNOWN_SHARE,
     GapResult,
     _confusable,
     _earns,
@@ -149,7 +141,7 @@ def test_several_hidden_effects_are_named_with_their_strengths(hidden: list[tupl
 
 def test_no_more_than_so_many_effects_are_named() -> None:
     result = searched((NOISE, 0.3), (BIAS, -0.5), (WINDOW, 0.5), (EXTINCTION, 0.5))
-    assert len(found_in(result)) == METHOD.max_effects
+    assert len(found_in(result)) == NUMERICS.max_effects
     assert result.verdict in ("named_and_rest", "unknown")
 
 
@@ -235,7 +227,7 @@ def test_a_further_effect_must_earn_its_place(beside: str) -> None:
             gained = result.rounds[-1][0].gain
             assert gained > np.quantile(result.global_test.best_null, 0.99)
             held = [one[0].held for one in result.rounds]
-            assert held[0].misfit - held[1].misfit > HELD_GAIN
+            assert held[0].misfit - held[1].misfit > METHOD.held_gain
 
 
 def test_an_effect_that_is_an_error_of_the_record_is_not_named_beside_another() -> None:
@@ -371,10 +363,10 @@ def left_by(misfit: float) -> Any:
     ("share", "verdict"),
     [
         (0.0, "named"),
-        (0.5 * RESIDUAL_SHARE, "named"),
-        (RESIDUAL_SHARE + 0.01, "named_and_rest"),
-        (UNKNOWN_SHARE - 0.01, "named_and_rest"),
-        (UNKNOWN_SHARE + 0.01, "unknown"),
+        (0.5 * METHOD.rest_share, "named"),
+        (METHOD.rest_share + 0.01, "named_and_rest"),
+        (METHOD.unknown_share - 0.01, "named_and_rest"),
+        (METHOD.unknown_share + 0.01, "unknown"),
         (0.9, "unknown"),
     ],
 )
@@ -440,7 +432,7 @@ def test_a_pattern_that_all_conditions_have_need_not_be_explained(common_p: floa
 )
 @pytest.mark.parametrize(
     ("explained", "least"),
-    [(0.9 * SURE_GAIN, 0.0), (10.0 * SURE_GAIN, -9.0 * SURE_GAIN * HELD_LOSS)],
+    [(0.9 * METHOD.sure_gain, 0.0), (10.0 * METHOD.sure_gain, -9.0 * METHOD.sure_gain * METHOD.held_loss_share)],
     ids=["weak", "strong"],
 )
 def test_a_name_must_hold_on_held_out_conditions(p_value: float, verdict: str, explained: float, least: float) -> None:
@@ -535,7 +527,7 @@ def test_only_grids_near_the_best_are_simulated_whole() -> None:
         name: max(g for one, g in zip(found.templates, found.gains, strict=True) if one.id == name) for name in asked
     }
     assert max(gain, key=lambda name: gain[name]) == WINDOW
-    assert gain[NOISE] < METHOD.refined_share * gain[WINDOW]
+    assert gain[NOISE] < NUMERICS.refined_share * gain[WINDOW]
 
 
 def test_effects_with_a_place_are_tried_anew_where_a_first_one_leaves_most() -> None:
@@ -587,10 +579,10 @@ def test_what_begins_at_a_threshold_is_also_fitted_from_a_point_as_it_stands() -
     ]
     nuisance, left = Systematics(np.zeros((3, 1)), np.zeros(1), 1), np.array([1.0, 0.5, 0.0])
     assert unscaled_templates(templates, [(templates[4], 0.1)], left, nuisance) == [(templates[1], 1.0)]
-    assert unscaled_templates(templates, [(templates[4], 0.9 * METHOD.threshold_amplitude)], left, nuisance) == [
+    assert unscaled_templates(templates, [(templates[4], 0.9 * NUMERICS.threshold_amplitude)], left, nuisance) == [
         (templates[1], 1.0)
     ]
-    assert unscaled_templates(templates, [(templates[2], 1.1 * METHOD.threshold_amplitude)], left, nuisance) == []
+    assert unscaled_templates(templates, [(templates[2], 1.1 * NUMERICS.threshold_amplitude)], left, nuisance) == []
     few = [replace(one, grid=ParameterGrid(effect, grid.points[:3])) for one in templates[:3]]
     assert unscaled_templates(few, [(few[2], 0.1)], left, nuisance) == []
 
@@ -608,7 +600,7 @@ def test_what_something_open_may_stand_for_is_what_looks_most_like_what_it_has_d
     ("name", "values", "amplitude", "expected"),
     [
         ("lidar.window_loss", {"loss_db": 3.0}, 0.5, {"loss_db": 1.5}),
-        ("lidar.window_loss", {"loss_db": 3.0}, 0.0, {"loss_db": 3.0 * METHOD.least_amplitude}),
+        ("lidar.window_loss", {"loss_db": 3.0}, 0.0, {"loss_db": 3.0 * NUMERICS.least_amplitude}),
         ("lidar.extinction_scale", {"factor": 2.0}, 0.25, {"factor": 1.25}),
         ("lidar.extinction_scale", {"factor": 0.0}, 1.35, {"factor": 0.0}),  # no less than nothing
         ("lidar.limited_extent", {"extent_m": 20.0}, 0.5, {"extent_m": 20.0}),  # its identity is infinitely far
@@ -697,7 +689,7 @@ def test_what_lies_far_behind_is_no_rival(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(forward_selection, "_earns", lambda search, best, added, own, least: added.gain > 0)
     best = Candidate("lidar.window_loss", fit_of({"lidar.window_loss": {}}, 500.0), 300.0)
     names = ("lidar.range_noise", "lidar.crosstalk", "lidar.spray", "lidar.wet_target")
-    misfits = (380.0, 400.0, 400.0 + 0.9 * CLOSE, 401.0 + CLOSE)
+    misfits = (380.0, 400.0, 400.0 + 0.9 * NUMERICS.rival_chi2, 401.0 + NUMERICS.rival_chi2)
     added = [Candidate(one, fit_of({one: {}}, misfit), 1.0) for one, misfit in zip(names, misfits, strict=True)]
     added[0] = replace(added[0], gain=-1.0)  # does not earn its place
     search: Any = None
@@ -709,10 +701,10 @@ def test_beside_all_candidates_of_an_alarm_the_nuisances_are_fitted_anew(monkeyp
     asked: list[int] = []
 
     def fitted(*given: Any) -> list[Candidate]:
-        asked.append(given[5] if len(given) > 5 else PROFILED_BESIDE)
+        asked.append(given[5] if len(given) > 5 else NUMERICS.profiled_beside)
         return original(*given)
 
     original = forward_selection.fitted
     monkeypatch.setattr(forward_selection, "fitted", fitted)
     searched((WINDOW, 0.5))
-    assert asked[0] == REFITTED > PROFILED_BESIDE
+    assert asked[0] == NUMERICS.refitted > NUMERICS.profiled_beside

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import METHOD, SCATTER
 from torchweather.gap.inference.insensitive_statistics import (
     fresh_delta_chi2,
     gained_elsewhere,
@@ -50,7 +50,7 @@ def fit(change: list[float]) -> Any:
 
 def test_a_statistic_is_touched_as_a_whole_in_all_conditions() -> None:
     """Root mean square over three entries of two conditions: one that moves by 0.5 d / sqrt(6)."""
-    least = METHOD.sensitive_rms * 0.5 * np.sqrt(6.0)
+    least = SCATTER.sensitive_rms * 0.5 * np.sqrt(6.0)
     for size, still in ((0.98, True), (1.02, False)):
         found = insensitive_statistics(search([True] * 5), fit([0.0, 0.0, 0.0, 0.0, size * least]))
         np.testing.assert_array_equal(found, [still, still, True, True, still] * 2)

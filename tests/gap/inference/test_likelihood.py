@@ -15,10 +15,10 @@ import torch
 
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import METHOD, NUMERICS, SCATTER
 from torchweather.gap.inference.forward_selection import find_gap_with
 from torchweather.gap.inference.global_test import run_global_test
-from torchweather.gap.inference.likelihood import INTENSITY_STEP, Fit, ParameterPoint, SimulatorLikelihood, _portions
+from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood, _portions
 from torchweather.gap.inference.location_search import located
 from torchweather.gap.inference.simulated_distribution import observations, simulated_distribution
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
@@ -144,8 +144,8 @@ def test_a_response_to_an_intensity_is_that_of_a_study_whose_record_is_off(null:
     one = null.nuisance(null.origin, null.start)
     name = null.measured[0].condition.id
     sd = null.measured[0].intensity_sd
-    share = INTENSITY_STEP
-    ends = (null.mean(ParameterPoint({}, {name: sign * share * sd}), METHOD.screen_frames)[0] for sign in (1.0, -1.0))
+    share = NUMERICS.intensity_step_sd
+    ends = (null.mean(ParameterPoint({}, {name: sign * share * sd}), NUMERICS.screen_frames)[0] for sign in (1.0, -1.0))
     high, low = ends
     expected = null.whitened(null.start, [(high - low) / (2.0 * share)])
     np.testing.assert_allclose(one.response[:, 0], expected, atol=1e-9)
@@ -162,10 +162,10 @@ def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_intensiti
     even = [departure.even for departure in null.frame_departures if departure.even]
     simulated = even.count("log_intensity_ratio")  # of the clear mean
     assert one.response.shape[1] == one.moving + 2 * len(null.frame_departures) - simulated + 2
-    stronger = null.mean(ParameterPoint({}, {}, {"particle gain": METHOD.systematic_step_sd}), METHOD.screen_frames)
-    here = null.mean(ParameterPoint(), METHOD.screen_frames)
+    stronger = null.mean(ParameterPoint({}, {}, {"particle gain": NUMERICS.systematic_step_sd}), NUMERICS.screen_frames)
+    here = null.mean(ParameterPoint(), NUMERICS.screen_frames)
     expected = null.whitened(
-        null.start, [(new - old) / METHOD.systematic_step_sd for new, old in zip(stronger, here, strict=True)]
+        null.start, [(new - old) / NUMERICS.systematic_step_sd for new, old in zip(stronger, here, strict=True)]
     )
     np.testing.assert_allclose(one.response[:, 4], expected, atol=1e-9)
     assert np.abs(expected).max() > 0.1
@@ -199,11 +199,11 @@ def test_moved_nuisances_stay_within_their_bounds(null: SimulatorLikelihood) -> 
         -2.5,
     )  # the weather intensity, noise that cannot be negative, a scale, reading and gain of particles
     found = null.shifted(ParameterPoint(), step)
-    assert found.log_intensity == pytest.approx({"c0": METHOD.nuisance_bound_sd * 0.05})
+    assert found.log_intensity == pytest.approx({"c0": SCATTER.nuisance_bound_sd * 0.05})
     assert found.open == pytest.approx(
         {"noise": 0.0, "clear scale s0": 1.5, "particle reading": 0.5, "particle gain": -2.5}
     )
-    np.testing.assert_allclose(null.offset(found)[:5], (METHOD.nuisance_bound_sd, 0.0, 1.5, 0.5, -2.5), rtol=1e-12)
+    np.testing.assert_allclose(null.offset(found)[:5], (SCATTER.nuisance_bound_sd, 0.0, 1.5, 0.5, -2.5), rtol=1e-12)
 
 
 def test_responses_are_kept_while_steps_gain_what_they_promise(
@@ -221,31 +221,31 @@ def test_responses_are_kept_while_steps_gain_what_they_promise(
 
     monkeypatch.setattr(null, "nuisance", counted)
     found = {}
-    for kept in (math.inf, METHOD.kept_while_gained, -math.inf):
+    for kept in (math.inf, NUMERICS.kept_while_gained, -math.inf):
         renewed.clear()
         _, nuisance, residual = null._profiled(point, like.base, like.nuisance.moved(null.offset(point)), 6, kept)
         found[kept] = len(renewed), null.misfit(residual, nuisance)
-    assert found[math.inf][0] > found[METHOD.kept_while_gained][0]
+    assert found[math.inf][0] > found[NUMERICS.kept_while_gained][0]
     assert found[-math.inf][0] == 0
     # A step that gains less than this is the last one.
-    enough = METHOD.converged_chi2 + 1e-3 * found[math.inf][1]
-    assert abs(found[math.inf][1] - found[METHOD.kept_while_gained][1]) < enough
+    enough = NUMERICS.converged_chi2 + 1e-3 * found[math.inf][1]
+    assert abs(found[math.inf][1] - found[NUMERICS.kept_while_gained][1]) < enough
 
 
 def test_a_record_that_is_far_off_is_first_looked_for_on_a_grid() -> None:
     """Frames of weather that is two standard deviations weaker, whose record is not told of it."""
     search = search_of(tiny_study(rows=16, columns=32, clear=4, weathers=WEATHERS, rel_sd=0.3))
     (aim,) = search.measured
-    weaker = search.mean(ParameterPoint({}, {"c0": -0.6}), METHOD.screen_frames)[0]
+    weaker = search.mean(ParameterPoint({}, {"c0": -0.6}), NUMERICS.screen_frames)[0]
     search.measured = [replace(aim, vector=weaker)]
     assert search._scanned(ParameterPoint()).log_intensity == pytest.approx({"c0": -0.6})
     # Where it stands is kept if no place of the grid is nearer.
     assert search._scanned(ParameterPoint({}, {"c0": -0.58})).log_intensity == pytest.approx({"c0": -0.58}, abs=0.03)
     assert search._scanned(ParameterPoint({}, {"c0": 0.1})).log_intensity == pytest.approx({"c0": -0.6})
     # Between places of the grid, to an eighth of a standard deviation.
-    between = search.mean(ParameterPoint({}, {"c0": -0.18}), METHOD.screen_frames)[0]
+    between = search.mean(ParameterPoint({}, {"c0": -0.18}), NUMERICS.screen_frames)[0]
     search.measured = [replace(aim, vector=between)]
-    scanned = search._scanned(ParameterPoint(), METHOD.intensity_halvings_sd).log_intensity
+    scanned = search._scanned(ParameterPoint(), NUMERICS.intensity_halvings_sd).log_intensity
     assert scanned == pytest.approx({"c0": -0.18}, abs=0.5 * 0.125 * 0.3 + 1e-9)
     search.measured = [replace(aim, vector=weaker)]
     # Fitted, it pays its prior: a little nearer to the record.
@@ -308,10 +308,10 @@ def test_clear_frames_that_were_read_too_bright_are_no_missing_effect() -> None:
 def test_more_measured_frames_than_those_of_a_response_are_all_simulated() -> None:
     """The vector of ten frames is not that of eight: scatters from frame to frame and slopes differ."""
     search = search_of(tiny_study(rows=8, columns=32, clear=4, frames=10, weathers=WEATHERS))
-    assert search.least_frames == 10 > METHOD.screen_frames
+    assert search.least_frames == 10 > NUMERICS.screen_frames
     assert search.pool_frames == 32
     before, point = search.simulated_frames, ParameterPoint(log_intensity={"c0": 0.1})
-    (found,) = search.mean(point, METHOD.screen_frames)
+    (found,) = search.mean(point, NUMERICS.screen_frames)
     assert search.simulated_frames - before == 10
     pool = search.pools(point, 10)["c0"]
     order = np.argsort(RNG([0, 104729, 0]).random((1, 10)), 1)
@@ -425,11 +425,11 @@ def test_an_effect_without_a_place_is_not_moved(null: SimulatorLikelihood) -> No
 def test_a_derivative_is_the_change_per_unit_of_the_parameter(null: SimulatorLikelihood) -> None:
     name = ("lidar.window_loss", "loss_db")
     points = [ParameterPoint({name[0]: {name[1]: value}}) for value in (1.0, 0.6, 1.4)]
-    here, low, high = (null.mean(point, METHOD.screen_frames) for point in points)
+    here, low, high = (null.mean(point, NUMERICS.screen_frames) for point in points)
     null.kept = null._nothing_kept()
     before = null.simulated_frames
     found = null._derivative(points[0], name, here, null.start)
-    assert null.simulated_frames - before == METHOD.screen_frames
+    assert null.simulated_frames - before == NUMERICS.screen_frames
     expected = null.whitened(null.start, [(b - a) / 0.8 for a, b in zip(low, high, strict=True)])
     # A logarithm of intensities is linear in decibels; a few beams at the threshold are not.
     assert float(found @ expected) == pytest.approx(float(expected @ expected), rel=0.05)
@@ -442,10 +442,10 @@ def test_responses_are_those_of_the_points_that_are_asked_for(null: SimulatorLik
     point = ParameterPoint({"lidar.range_bias": {"offset_m": 0.02}})
     found = null.templates([(loss, 2), (noise, 1), (loss, 0)], point, null.start)
     assert [(one.grid, one.number) for one in found] == [(loss, 2), (noise, 1), (loss, 0)]
-    here = null.mean(point, METHOD.screen_frames)
+    here = null.mean(point, NUMERICS.screen_frames)
     for one in found:
         assert one.values == one.grid.points[one.number]
-        there = null.mean(ParameterPoint({**point.values, one.id: one.values}), METHOD.screen_frames)
+        there = null.mean(ParameterPoint({**point.values, one.id: one.values}), NUMERICS.screen_frames)
         change = [new - old for new, old in zip(there, here, strict=True)]
         np.testing.assert_allclose(one.response, null.whitened(null.start, change), atol=1e-12)
         assert np.abs(one.response).max() > 0.01
@@ -547,11 +547,11 @@ def test_a_point_that_was_simulated_is_not_simulated_again(null: SimulatorLikeli
     means = [null.mean(point) for point in points]
     before = null.simulated_frames
     again = [null.mean(point) for point in points]
-    fewer = [null.mean(point, METHOD.screen_frames) for point in points]
+    fewer = [null.mean(point, NUMERICS.screen_frames) for point in points]
     assert null.simulated_frames == before
     null.kept = null._nothing_kept()
     for point, mean, same, few in zip(points, means, again, fewer, strict=True):
         np.testing.assert_array_equal(mean, same)
         np.testing.assert_array_equal(mean, null.mean(point))
-        np.testing.assert_array_equal(few, null.mean(point, METHOD.screen_frames))
+        np.testing.assert_array_equal(few, null.mean(point, NUMERICS.screen_frames))
     assert not any(np.array_equal(means[0], other) for other in means[1:])

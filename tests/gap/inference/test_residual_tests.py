@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import SCATTER
 from torchweather.gap.inference.residual_tests import ResidualTest, residual_test
 from torchweather.gap.statistics.frame_statistics import Group, Layout
 
@@ -142,7 +142,7 @@ def test_noise_is_what_is_expected_of_the_entries_that_count() -> None:
     found = residual_test(search, base)
     np.testing.assert_array_equal(found.places, ENTRIES)
     np.testing.assert_array_equal(found.used, [used[name] for name in names])
-    levels = np.repeat([[1.0, 0.5, 0.25, METHOD.least_level], [1.0, 0.25, 0.25, METHOD.least_level]], 3, axis=1)
+    levels = np.repeat([[1.0, 0.5, 0.25, SCATTER.least_level], [1.0, 0.25, 0.25, SCATTER.least_level]], 3, axis=1)
     np.testing.assert_allclose(found.noise, levels, rtol=1e-12)
     np.testing.assert_array_equal(found.event, [4.0 * each] * 2)
     np.testing.assert_array_equal(found.model, [0.5 * each] * 2)
@@ -168,15 +168,15 @@ def test_first_events_are_no_miracle(expected: float) -> None:
     """Six bins in which hardly any event is expected: sums of squares as drawn from Poisson's law."""
     number = RNG(6).poisson(expected, (400_000, 6))
     departure = np.sqrt(number + 0.375) - np.sqrt(expected + 0.375)
-    departure *= METHOD.one_event_sd / (np.sqrt(expected + 1.375) - np.sqrt(expected + 0.375))
+    departure *= SCATTER.one_event_sd / (np.sqrt(expected + 1.375) - np.sqrt(expected + 0.375))
     level = np.full((1, 6), float((departure**2).mean()))
-    event = np.full((1, 6), METHOD.one_event_sd**2)
+    event = np.full((1, 6), SCATTER.one_event_sd**2)
     one = ResidualTest(np.zeros(6, int), np.ones((1, 6), bool), level, event)
     squares = (departure**2).sum(1)
     for events in (1, 2):
         left = np.zeros(6)
-        left[:events] = METHOD.one_event_sd
-        true = float((squares > 0.9 * events * METHOD.one_event_sd**2).mean())
+        left[:events] = SCATTER.one_event_sd
+        true = float((squares > 0.9 * events * SCATTER.one_event_sd**2).mean())
         found, normal = one.p_value(left), ResidualTest(one.places, one.used, level).p_value(left)
         assert 0.2 * true < found < 6.0 * true
         assert normal < 1e-3 * found

@@ -10,7 +10,7 @@ import pytest
 
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS, SCATTER
 from torchweather.gap.inference.events_along_axes import EventsAlongAxes
 from torchweather.gap.inference.simulated_distribution import (
     ElementNoise,
@@ -192,7 +192,7 @@ def test_what_the_clear_frames_share_goes_together_as_the_elements_noise_does(st
     name = aim.condition.id
     noise = ElementNoise({name: np.full(BINS, 5.0)}, correlation(0.6))
     found = simulated_distribution({name: pool(40, 0, common=0.3)}, [aim], noise, None, 0).whitening.factor
-    expected = (1.0 - METHOD.shrinkage) * correlation(0.6) + METHOD.shrinkage * np.eye(BINS)
+    expected = (1.0 - SCATTER.shrinkage) * correlation(0.6) + SCATTER.shrinkage * np.eye(BINS)
     np.testing.assert_allclose(found @ found.T, expected, atol=1e-12)
 
 
@@ -218,7 +218,7 @@ NO_EVENTS = EventsAlongAxes(np.eye(BINS), np.zeros(BINS))
 
 
 def test_whitened_departures_are_independent() -> None:
-    shrunk = (1.0 - METHOD.shrinkage) * correlation(0.8) + METHOD.shrinkage * np.eye(BINS)
+    shrunk = (1.0 - SCATTER.shrinkage) * correlation(0.8) + SCATTER.shrinkage * np.eye(BINS)
     whitening = Whitening.of(ElementNoise({"c": np.ones(BINS)}, correlation(0.8)), {"c": np.ones(BINS)}, NO_EVENTS)
     draws = RNG(1).normal(size=(20_000, BINS)) @ np.linalg.cholesky(shrunk).T
     found = whitening(draws)
@@ -233,7 +233,7 @@ def test_scatter_that_is_an_entrys_own_counts_as_independent() -> None:
     factor = Whitening.of(noise, {"c": np.full(BINS, 1e6)}, NO_EVENTS).factor
     np.testing.assert_allclose(factor, np.eye(BINS), atol=1e-9)
     half = Whitening.of(noise, {"c": np.full(BINS, 2.0)}, NO_EVENTS).factor
-    assert (half @ half.T)[0, 1] == pytest.approx((1.0 - METHOD.shrinkage) * 0.8 * 0.25, rel=1e-12)
+    assert (half @ half.T)[0, 1] == pytest.approx((1.0 - SCATTER.shrinkage) * 0.8 * 0.25, rel=1e-12)
 
 
 def test_of_correlations_that_few_portions_tell_each_group_is_left_one(study: Study) -> None:
@@ -264,7 +264,7 @@ def test_of_correlations_that_few_portions_tell_each_group_is_left_one(study: St
     # Of n free portions the entry behind p others is left n / (n - p): of those of the other folds somewhat more, so
     # that its square ends below 1. 180 of them tell a square to 11 %, the mean of 8 entries to 4 %: three times that.
     free, before = 3 * portions, np.arange(groups) * bins + 0.5 * bins
-    others = free * (1.0 - 1.0 / METHOD.whitening_folds)
+    others = free * (1.0 - 1.0 / NUMERICS.whitening_folds)
     expected = (1.0 - before / others) / (1.0 - before / free)
     np.testing.assert_allclose(calibrated, expected, atol=0.13)
     assert as_told[:-1].max() > 1.2
@@ -275,22 +275,24 @@ def test_the_noise_of_the_elements_is_that_of_the_mean_of_independent_ones(study
     """Element noise with known sd and correlation: x in three bins, 0.6 x + 0.8 y in the other three."""
     elements, number = 64, 5
     rng = RNG(2)
-    x, y = rng.normal(size=(2, METHOD.portioned_frames, METHOD.portions))
+    x, y = rng.normal(size=(2, NUMERICS.portioned_frames, NUMERICS.portions))
     values = np.stack([x, x, x, *([0.6 * x + 0.8 * y] * 3)], -1).reshape(-1, BINS) / np.sqrt(elements)
     weight = np.full(values.shape, float(elements))
     frames = len(values)
     portioned = Reduced(weight, weight * values, weight, np.zeros((frames, 0)), np.zeros((frames, 0, 1)))
     aim = target(study, np.zeros(BINS), number)
-    found = element_noise({aim.condition.id: Pool(LAYOUT, portioned)}, [aim], METHOD.portions)
+    found = element_noise({aim.condition.id: Pool(LAYOUT, portioned)}, [aim], NUMERICS.portions)
     # Frames of three clear ones, each apart from the mean of the other two, are further apart by 3 / 2.
     few = target(study, np.zeros(BINS), number, clear=3)
     wide = portioned.value * 1.5
-    own = element_noise({few.condition.id: Pool(LAYOUT, replace(portioned, value=wide))}, [few], METHOD.portions)
-    alike = np.sqrt((3 / 2) / (METHOD.portioned_frames / (METHOD.portioned_frames - 1)))  # of so few independent ones
+    own = element_noise({few.condition.id: Pool(LAYOUT, replace(portioned, value=wide))}, [few], NUMERICS.portions)
+    alike = np.sqrt(
+        (3 / 2) / (NUMERICS.portioned_frames / (NUMERICS.portioned_frames - 1))
+    )  # of so few independent ones
     np.testing.assert_allclose(own.scatter[aim.condition.id], alike * found.scatter[aim.condition.id], rtol=1e-9)
     # 128 portions of 8 frames, 7 of them free: sqrt(0.5 / 896) = 2.4 % of a standard deviation, 3 % of a correlation;
     # three to five times that.
-    expected = 1.0 / np.sqrt(number * METHOD.portions * elements)
+    expected = 1.0 / np.sqrt(number * NUMERICS.portions * elements)
     np.testing.assert_allclose(found.scatter[aim.condition.id], expected, rtol=0.12)
     assert found.correlation[0, 5] == pytest.approx(0.6, abs=0.15)
     assert found.correlation[0, 1] == pytest.approx(1.0, rel=1e-9)
@@ -309,9 +311,9 @@ def of_study(
             aim.condition.id: Pool(model.layout, model.simulated(aim.condition, (), 0.0, seeds[:number], portions))
             for aim in aims
         }
-        for number, portions in ((frames, 1), (METHOD.portioned_frames, METHOD.portions))
+        for number, portions in ((frames, 1), (NUMERICS.portioned_frames, NUMERICS.portions))
     )
-    return aims, simulated_distribution(pools, aims, element_noise(portioned, aims, METHOD.portions), None, seed)
+    return aims, simulated_distribution(pools, aims, element_noise(portioned, aims, NUMERICS.portions), None, seed)
 
 
 def test_measured_vectors_are_those_of_the_conditions_frames(study: Study, model: LidarFrames) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.response_templates import ResponseTemplate, amplitudes, delta_chi2, pair_delta_chi2
 from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.gap.inference.systematics import Bounds, Systematics, bounded_step, moving_only, together
@@ -152,7 +152,7 @@ def templates(responses: Any) -> list[ResponseTemplate]:
     return [ResponseTemplate(grid, 0, {"loss_db": 1.0}, response) for response in responses]
 
 
-GRID = np.linspace(*METHOD.template_amplitudes, 541)  # steps of 0.0025
+GRID = np.linspace(*NUMERICS.template_amplitudes, 541)  # steps of 0.0025
 
 
 @pytest.mark.parametrize("offset", OFFSETS)
@@ -172,8 +172,8 @@ def test_an_amplitude_is_the_best_of_a_grid_and_a_gain_what_it_takes_off_the_mis
             missed = 0.25 * (GRID[1] ** 2) * norm[number]
             assert 0.0 <= gain[place, number] - (misfit[0] - misfit.min()) + 1e-9 < missed + 2e-9
             assert found[place, number] == pytest.approx(GRID[misfit.argmin()], abs=0.51 * GRID[1])
-    assert METHOD.template_amplitudes[0] in found
-    assert METHOD.template_amplitudes[1] in found
+    assert NUMERICS.template_amplitudes[0] in found
+    assert NUMERICS.template_amplitudes[1] in found
 
 
 def test_a_gain_is_the_whole_square_of_a_response_itself_and_none_of_its_opposite() -> None:
@@ -181,7 +181,7 @@ def test_a_gain_is_the_whole_square_of_a_response_itself_and_none_of_its_opposit
     square = float(response @ one(response))
     left = one(np.stack([response, -response, 3.0 * response]))
     # No more than 1.35 times a response is believed: 2 a 3 - a^2 squares.
-    expected = [square, 0.0, (6.0 * METHOD.template_amplitudes[1] - METHOD.template_amplitudes[1] ** 2) * square]
+    expected = [square, 0.0, (6.0 * NUMERICS.template_amplitudes[1] - NUMERICS.template_amplitudes[1] ** 2) * square]
     np.testing.assert_allclose(delta_chi2(templates([response]), left, one)[:, 0], expected, rtol=1e-12)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS, SCATTER
 from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.simulated_distribution import Observation, SimulatedDistribution, Whitening
 from torchweather.gap.sensors.lidar.sums import lidar_layout
@@ -210,7 +210,7 @@ def test_a_single_clear_frame_of_each_scene_tells_nothing_of_whole_frames() -> N
 @pytest.mark.parametrize("clock", [0.0, 1.0])
 def test_the_noise_of_elements_is_nothing_that_whole_frames_do(clock: float) -> None:
     """Elements with noise of 1 in two bins of 512; a clock that moves all of them together by a tenth of that or so."""
-    portions, number, scenes = METHOD.portions, 24, 12
+    portions, number, scenes = NUMERICS.portions, 24, 12
     layout = Layout(
         (Group("apart", "x", "mean", (0.0, 1.0, 2.0)), Group("level", "x", "spread", (0.0, 1.0))), (), (), ()
     )
@@ -245,7 +245,7 @@ def test_the_noise_of_elements_is_nothing_that_whole_frames_do(clock: float) -> 
 def test_two_frames_that_are_alike_by_chance_make_no_steady_clock() -> None:
     """Means of 1,024 elements with noise of 1, without a clock: as much as that noise, twice the scatter of its square
     from two scenes of two frames, may be hidden in it."""
-    portions, each = METHOD.portions, 8
+    portions, each = NUMERICS.portions, 8
 
     def frames(scene: str, parts: int = 1) -> Reduced:
         value = RNG([11, int(scene)]).normal(size=(2, portions, each))
@@ -271,7 +271,7 @@ def test_a_scatter_known_from_few_frames_is_widened_as_student_has_it() -> None:
     for degrees_of_freedom, quantile in ((1, 6366.2), (5, 11.178), (10, 6.211), (30, 4.482), (120, 4.025)):
         assert widened(degrees_of_freedom) == pytest.approx((quantile / 3.8906) ** 2, rel=1e-3)
         # The normal law of that variance reaches as far as often.
-        reach = stats.t.ppf(1.0 - 0.5 * METHOD.frame_noise_p, degrees_of_freedom)
+        reach = stats.t.ppf(1.0 - 0.5 * SCATTER.frame_noise_p, degrees_of_freedom)
         assert 2.0 * stats.norm.sf(reach / math.sqrt(widened(degrees_of_freedom))) == pytest.approx(1e-4, rel=1e-6)
     each = [widened(degrees_of_freedom) for degrees_of_freedom in range(1, 60)]
     assert each == sorted(each, reverse=True)
@@ -287,10 +287,10 @@ def test_what_weather_does_to_means_is_known_to_half_a_percent_in_all_conditions
     columns = model_errors(LAYOUT, bare().measured, at, in_clear_air, partial(bare()._column, at))
     found = covariance(columns)
     known = {
-        name: np.where(AVERAGES, METHOD.weather_mean_rel_error * (at.mean[name] - in_clear_air[scene]), 0.0)
+        name: np.where(AVERAGES, SCATTER.weather_mean_rel_error * (at.mean[name] - in_clear_air[scene]), 0.0)
         for name, scene in SCENES.items()
     }
-    assert METHOD.weather_mean_rel_error == 0.005
+    assert SCATTER.weather_mean_rel_error == 0.005
     for one, name in enumerate(SCENES):
         for other, elsewhere in enumerate(SCENES):
             expected = (1.0 + (one == other)) * np.outer(known[name], known[elsewhere])
@@ -339,8 +339,8 @@ def test_every_point_is_simulated_with_the_same_seeds_a_cost_with_more_than_a_re
     search.model.systematics = lambda condition, strengths: []  # type: ignore[method-assign]
     for point in (ParameterPoint(), ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}}, {"c1": 0.3})):
         search.mean(point)
-        search.mean(point, METHOD.screen_frames)
-    assert (METHOD.probe_frames, METHOD.screen_frames) == (16, 6)
+        search.mean(point, NUMERICS.screen_frames)
+    assert (NUMERICS.probe_frames, NUMERICS.screen_frames) == (16, 6)
     # The first six are those of a response: none is simulated twice.
     parts = slice(0, 6), slice(6, 16)
     wanted = {(name, tuple(search.seeds(k, 16)[part])) for k, name in enumerate(SCENES) for part in parts}
@@ -356,7 +356,7 @@ def test_what_an_effect_leaves_unmodelled_is_known_to_half_of_what_it_does() -> 
     search, there = bare(), base(-0.7)
     search.start = base(0.2)
     found = search._loosened(there, {"log_particle_intensity", "no_such_statistic"})
-    assert METHOD.unmodelled_share == 0.5
+    assert SCATTER.unmodelled_share == 0.5
     for name in SCENES:
         open_entries = np.isin(np.arange(SIZE), (9, 10))
         moved = 0.5 * 0.9 * np.arange(1.0, SIZE + 1.0) * FRAMES[name]

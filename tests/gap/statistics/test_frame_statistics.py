@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import SCATTER
 from torchweather.gap.statistics.frame_statistics import FEWEST, Group, Layout, Pool, Reduced
 
 RNG = np.random.default_rng
@@ -373,9 +373,9 @@ def test_the_spread_of_misplaced_particles_is_known_to_a_fifth() -> None:
     """As their readings are the largest of several; where none is misplaced it is known as others are."""
     pool = particles("spread", [0.0] * 3, [100.0] * 3)
     added = np.sqrt(pool.known_to(1, 0.03) ** 2 - pool.known_to(1) ** 2)
-    np.testing.assert_allclose(added, np.hypot([0.06, 0.09, 0.06], METHOD.log_read_spread_error), rtol=1e-6)
-    assert METHOD.log_read_spread_error == 0.2
-    np.testing.assert_allclose(pool.known_to(1), METHOD.log_spread_error, rtol=1e-9)  # no spread better than to 3 %
+    np.testing.assert_allclose(added, np.hypot([0.06, 0.09, 0.06], SCATTER.log_read_spread_error), rtol=1e-6)
+    assert SCATTER.log_read_spread_error == 0.2
+    np.testing.assert_allclose(pool.known_to(1), SCATTER.log_spread_error, rtol=1e-9)  # no spread better than to 3 %
 
 
 def test_only_what_lies_along_the_range_of_particles_is_misplaced() -> None:

@@ -186,8 +186,8 @@ MUTANTS = (
         "maps_of_fog_known_exactly",
         "particles that a model misplaces move what stays in its place",
         "torchweather.gap.statistics.frame_statistics",
-        "math.hypot(METHOD.persistence_rel_error, misplaced)",
-        "METHOD.persistence_rel_error",
+        "math.hypot(SCATTER.persistence_rel_error, misplaced)",
+        "SCATTER.persistence_rel_error",
         ("tests/gap/statistics/test_frame_statistics.py::test_misplaced_particles_move_what_stays_in_its_place",),
     ),
     Mutant(
@@ -239,7 +239,7 @@ MUTANTS = (
         "steps_never_doubled",
         "a step is doubled where the least of the parabola lies beyond it",
         "torchweather.gap.inference.likelihood",
-        "cost - best[0] < METHOD.doubled_from * (cost - step.misfit)",
+        "cost - best[0] < NUMERICS.doubled_from * (cost - step.misfit)",
         "cost > best[0]",
         (f"{SELECTION}::test_a_step_is_doubled_only_where_the_least_lies_beyond_it",),
     ),
@@ -361,8 +361,8 @@ MUTANTS = (
         "t_interval_taken_as_normal",
         "few degrees of freedom widen the noise of whole frames",
         RANDOM_EFFECTS,
-        "/ stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 2",
-        "/ stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 0",
+        "/ stats.norm.isf(tail)) ** 2",
+        "/ stats.norm.isf(tail)) ** 0",
         (
             (
                 "tests/gap/statistics/test_frame_random_effects.py::"
@@ -424,8 +424,8 @@ MUTANTS = (
         "formula_at_bin_centres",
         "a formula is averaged over each bin",
         FORMULA,
-        "share = (np.arange(METHOD.formula_points) + 0.5) / METHOD.formula_points",
-        "share = 0.0 * (np.arange(METHOD.formula_points) + 0.5) / METHOD.formula_points",
+        "share = (np.arange(NUMERICS.formula_points) + 0.5) / NUMERICS.formula_points",
+        "share = 0.0 * (np.arange(NUMERICS.formula_points) + 0.5) / NUMERICS.formula_points",
         ("tests/gap/statistics/test_formula.py::test_bins_that_are_not_known_count_for_nothing",),
     ),
     Mutant(
@@ -461,8 +461,8 @@ MUTANTS = (
         "insensitive_statistics_by_mean_change",
         "a statistic is insensitive where its root mean square change is small",
         "torchweather.gap.inference.insensitive_statistics",
-        "float(np.sqrt((values**2).mean())) < METHOD.sensitive_rms",
-        "float(np.abs(values.mean())) < METHOD.sensitive_rms",
+        "float(np.sqrt((values**2).mean())) < SCATTER.sensitive_rms",
+        "float(np.abs(values.mean())) < SCATTER.sensitive_rms",
         (
             (
                 "tests/gap/inference/test_insensitive_statistics.py::"
@@ -514,8 +514,8 @@ MUTANTS = (
         "every_rare_event_is_two_sigma",
         "one event more counts by the deviance that it has",
         "torchweather.gap.inference.calibrated_scatter",
-        "allowed = np.minimum(one_event_sd(expected) / np.sqrt(narrower), METHOD.one_event_sd)",
-        "allowed = np.full_like(expected, METHOD.one_event_sd)",
+        "allowed = np.minimum(one_event_sd(expected) / np.sqrt(narrower), SCATTER.one_event_sd)",
+        "allowed = np.full_like(expected, SCATTER.one_event_sd)",
         ("tests/gap/inference/test_calibrated_scatter.py::test_no_rare_count_departs_by_more_than_its_deviance",),
     ),
     Mutant(
@@ -538,7 +538,7 @@ MUTANTS = (
         "scatter_of_few_frames_taken_as_known",
         "squares over a scatter that few frames tell follow F",
         RESIDUAL,
-        "known = unsure * METHOD.known_degrees <= level",
+        "known = unsure * SCATTER.known_degrees <= level",
         "known = unsure <= level",
         ("tests/gap/inference/test_residual_tests.py::test_a_scatter_that_few_frames_tell_is_no_sure_measure",),
     ),
@@ -578,8 +578,8 @@ MUTANTS = (
         "every_empty_bin_may_hold_half_an_event",
         "what is still to come in empty bins is as much as was seen once",
         "torchweather.gap.statistics.counting",
-        "return min((once + METHOD.jeffreys_events) / max(never, 1), METHOD.jeffreys_events)",
-        "return METHOD.jeffreys_events",
+        "return min((once + SCATTER.jeffreys_events) / max(never, 1), SCATTER.jeffreys_events)",
+        "return SCATTER.jeffreys_events",
         (
             "tests/gap/statistics/test_counting.py::test_what_is_still_to_come_in_empty_bins_is_as_much_as_was_seen_once",
         ),
@@ -588,7 +588,7 @@ MUTANTS = (
         "as_many_portions_whatever_the_clear_frames",
         "the fewer clear frames, the more portions: correlations of many entries need a thousand of them",
         "torchweather.gap.inference.likelihood",
-        "max(METHOD.portioned_frames / max(clear, 1), 1.0)",
+        "max(NUMERICS.portioned_frames / max(clear, 1), 1.0)",
         "1.0",
         ("tests/gap/inference/test_likelihood.py::test_few_clear_frames_have_more_portions",),
     ),
@@ -644,7 +644,7 @@ MUTANTS = (
         "from_rest_with_nuisances_far_off",
         "where what is open has gone far, effects are compared with it near",
         "torchweather.gap.inference.candidate_fits",
-        "low[opened], high[opened] = np.clip(low[opened], -FAR, FAR), np.clip(high[opened], -FAR, FAR)",
+        "low[opened], high[opened] = np.clip(low[opened], -far, far), np.clip(high[opened], -far, far)",
         "pass",
         (
             (

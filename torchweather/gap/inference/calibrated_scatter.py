@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import digamma, polygamma
 from scipy.stats import chi2
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS, SCATTER
 from torchweather.gap.inference.frame_components import FrameComponents, between_share, frame_components
 from torchweather.gap.statistics.counting import (
     ANSCOMBE,
@@ -209,7 +209,7 @@ def _spread_laws(
         half = 0.5 * degrees_of_freedom[some]
         ratio = np.log(shown[some] / law[some] ** 2) - (digamma(half) - np.log(half))
         beyond = float(ratio.var(ddof=1)) - float(polygamma(1, half).mean())
-        most = METHOD.element_law_degrees
+        most = SCATTER.element_law_degrees
         found[name] = _SpreadLaw(float(np.exp(ratio.mean())), min(2.0 / max(beyond, 2.0 / most), most))
     return found
 
@@ -225,7 +225,7 @@ def _drawn(pool: Pool, size: MeasuredSize, seed: int, place: int) -> Floats:
     of endless frames."""
     generator = np.random.default_rng([seed, place])
     count = len(pool)
-    index = np.argsort(generator.random((METHOD.distribution_draws, count)), 1)[:, : min(size.frames, count)]
+    index = np.argsort(generator.random((NUMERICS.distribution_draws, count)), 1)[:, : min(size.frames, count)]
     vectors = pool.vectors(index, size.time_s)
     mean = vectors.mean(0)
     # Frames of a finite pool, none twice, have means that scatter less; changes over time do not.
@@ -276,7 +276,7 @@ class _Counted:
             weight, value = (getattr(pool.frames, name)[:, part].mean(0) for name in ("weight", "value"))
             happened = _happened(group, weight, value)
             independent = self.independent[part]
-            prior = np.where(happened > 0.0, METHOD.jeffreys_events, unseen[group.statistic])
+            prior = np.where(happened > 0.0, SCATTER.jeffreys_events, unseen[group.statistic])
             expected = expected_number(happened * independent, independent, number, prior)
             self.expected[part], self.weight[part] = expected, number * weight
             self.variance[part] = counted_variance(group.kind, number * weight, expected)
@@ -292,7 +292,7 @@ class _Counted:
 
     def prior(self) -> Floats:
         """``(P,)`` the same of the law of counting: less where many were counted, and simulated frames tell enough."""
-        found: Floats = METHOD.counting_prior_frames / (1.0 + (self.expected / METHOD.counting_prior_frames) ** 2)
+        found: Floats = SCATTER.counting_prior_frames / (1.0 + (self.expected / SCATTER.counting_prior_frames) ** 2)
         return found
 
     def least(self, group: Group, part: slice, dispersion: float) -> Floats:
@@ -303,7 +303,7 @@ class _Counted:
         """
         expected = self.expected[part]
         narrower = (1.0 + min(dispersion, 1.0) * expected**2) / (1.0 + expected**2)
-        allowed = np.minimum(one_event_sd(expected) / np.sqrt(narrower), METHOD.one_event_sd)
+        allowed = np.minimum(one_event_sd(expected) / np.sqrt(narrower), SCATTER.one_event_sd)
         found: Floats = self.one_event(group, part) / allowed**2
         return found
 
@@ -330,10 +330,10 @@ def _dispersion(layout: Layout, counted: Mapping[str, _Counted], variance: Mappi
         for condition, own in counted.items():
             entries = layout.each(partial(_counts, name))
             # Of those where the law is asked for.
-            weight = own.expected[entries] * own.prior()[entries] / METHOD.counting_prior_frames
+            weight = own.expected[entries] * own.prior()[entries] / SCATTER.counting_prior_frames
             over += float((weight * variance[condition][entries] / np.maximum(own.variance[entries], TINY)).sum())
             whole += float(weight.sum())
-        found[name] = (over + METHOD.unseen_events) / (whole + METHOD.unseen_events)
+        found[name] = (over + SCATTER.unseen_events) / (whole + SCATTER.unseen_events)
     return found
 
 
@@ -355,9 +355,9 @@ def log_sd_variance(number: int, variance: float, steady: float) -> float:
 
 @lru_cache(maxsize=64)
 def _squares_over_variance(degrees_of_freedom: int) -> Floats:
-    """Quantiles ``(METHOD.quantiles,)`` of an estimated variance over the true one."""
+    """Quantiles ``(NUMERICS.quantiles,)`` of an estimated variance over the true one."""
     found: Floats = (
-        chi2.ppf((np.arange(METHOD.quantiles) + 0.5) / METHOD.quantiles, degrees_of_freedom) / degrees_of_freedom
+        chi2.ppf((np.arange(NUMERICS.quantiles) + 0.5) / NUMERICS.quantiles, degrees_of_freedom) / degrees_of_freedom
     )
     found.flags.writeable = False
     return found
@@ -376,7 +376,7 @@ def _scatter(
 ) -> CalibratedScatter:
     layout, number, frames, clear = pool.layout, size.frames, len(pool), size.clear_frames
     # Mean of one over an estimated variance, over one over the true one.
-    variance = _variance(layout, draws, share, clear) * (1.0 + np.minimum(components.unsure, METHOD.most_unsure))
+    variance = _variance(layout, draws, share, clear) * (1.0 + np.minimum(components.unsure, SCATTER.most_unsure))
     told = _told(share, frames, clear)
     by_clear_frames = share * told / max(min(clear, frames) - 1, 1)
     elements, by_elements = by_law.sd, layout.by_elements
@@ -391,7 +391,7 @@ def _scatter(
     # holds for squares about the mean of two frames, which are alike in both.
     squares = layout.each(lambda group: group.statistic in layout.about_clear_mean)
     passed = np.broadcast_to(size.clear_noise, layout.size)
-    told_by_clear = np.where(from_clear | (squares & (clear < METHOD.frames_for_spread)), 1.0, share)
+    told_by_clear = np.where(from_clear | (squares & (clear < SCATTER.frames_for_spread)), 1.0, share)
     for group, part in zip(layout.groups, layout.slices, strict=True):
         if by_elements[part][0]:
             noise = elements[part] ** 2
@@ -420,7 +420,7 @@ def _scatter(
             steady, by_clear = layout.steady[scalar], float(components.of_scalars[scalar])
             scatter = pool.frames.scalar[:, scalar].var() * (1.0 + by_clear / max(clear - 1, 1))
             # K clear frames that are alike by chance make no steady sensor: as large as it may well be.
-            scatter *= 1.0 + by_clear * METHOD.well_may_be_sd * math.sqrt(2.0 / max(clear - 1, 1))
+            scatter *= 1.0 + by_clear * SCATTER.well_may_be_sd * math.sqrt(2.0 / max(clear - 1, 1))
             # As far as frames differ by clear ones, K of those tell no more of the scatter than K numbers do.
             of_clear_noise = log_sd_variance(number, scatter, steady)
             own[part] = (1.0 - by_clear) * variance[part] + by_clear * of_clear_noise
@@ -431,15 +431,15 @@ def _scatter(
         elif group.kind == "slope":
             by_clear = float(components.of_scalars[layout.scalars.index(group.statistic)])
             slope_unsure = 2.0 * ((1.0 - by_clear) / frames + by_clear / max(clear - 1, 1))
-            own[part] = draws[:, part].var(0, ddof=1) * (1.0 + min(slope_unsure, METHOD.most_unsure))
+            own[part] = draws[:, part].var(0, ddof=1) * (1.0 + min(slope_unsure, SCATTER.most_unsure))
             degrees_of_freedom[part] = 2.0 / slope_unsure
             by_clear_frames[part] = by_clear * degrees_of_freedom[part] / max(clear - 1, 1)
         elif group.kind == "persistence":
             # Maps are nearly empty where little falls: one return that two frames share by chance is no discovery.
-            least_sd = math.sqrt(2.0 / max(number * (number - 1), 2)) / METHOD.one_event_sd
+            least_sd = math.sqrt(2.0 / max(number * (number - 1), 2)) / SCATTER.one_event_sd
             own[part] = np.maximum(variance[part], least_sd**2)
             expected[part] = np.minimum(draws[:, part].var(0, ddof=1) / own[part], 1.0)
-            event[part] = (METHOD.one_event_sd * least_sd) ** 2
+            event[part] = (SCATTER.one_event_sd * least_sd) ** 2
             simulated[part] = variance[part] * (1.0 - share[part]) * number / frames
             of_clear[part] = variance[part] * share[part] * number / clear
         else:

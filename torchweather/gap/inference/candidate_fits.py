@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.effect_forms import is_another
 from torchweather.gap.inference.effect_sets import best_effect_pairs, best_single_effects
 from torchweather.gap.inference.held_out import HeldOut
@@ -24,8 +24,6 @@ from torchweather.gap.inference.starting_points import parameter_grids
 from torchweather.gap.inference.systematics import Bounds, Systematics
 
 __all__ = [
-    "CLOSE",
-    "PROFILED_BESIDE",
     "Candidate",
     "Proposal",
     "best_of_each_set",
@@ -43,13 +41,6 @@ Floats = NDArray[np.float64]
 
 Proposal = tuple[ParameterPoint, ResponseTemplate, float]
 """A parameter point, the template to put on top of it, and how much of its response is expected."""
-
-# Of a response, squared, that nuisances leave, below which they are fitted anew beside the effect; and where what is
-# left open stands so many standard deviations off.
-SHADOWED, FAR = (0.1, 0.5), 2.0
-PROFILE_ROUNDS, PROFILED_BESIDE = 2, 2  # of that; of how many effects, the ones with the largest gains
-OUTWARD, OUTWARD_STEP = 5, 1.4  # steps by which a valley is followed to stronger effects, and what each multiplies by
-QUICK, CLOSE = 2, 40.0  # steps of a first fit; misfit over the best one's, up to which it is refined
 
 
 @dataclass(frozen=True)
@@ -78,7 +69,7 @@ def best_templates(
     best: dict[str, int] = {}
     for place in np.argsort(-gain):
         best.setdefault(templates[place].id, int(place))
-    worth = [place for place in best.values() if gain[place] >= METHOD.refit_share * gain.max()]
+    worth = [place for place in best.values() if gain[place] >= NUMERICS.refit_share * gain.max()]
     return [(templates[place], float(amplitude[place])) for place in worth]
 
 
@@ -99,7 +90,7 @@ def unscaled_templates(
     for place in np.argsort(-gain):
         best.setdefault(templates[place].id, int(place))
     scaled = [
-        template for template, amplitude in chosen if template.grid.curved and amplitude < METHOD.threshold_amplitude
+        template for template, amplitude in chosen if template.grid.curved and amplitude < NUMERICS.threshold_amplitude
     ]
     return [(templates[best[template.id]], 1.0) for template in scaled]
 
@@ -124,7 +115,7 @@ def hidden_templates(
     for place in np.argsort(-(along**2 / norm)):
         best.setdefault(templates[place].id, int(place))
     return [
-        (templates[place], float(min(along[place] / norm[place], METHOD.template_amplitudes[1])))
+        (templates[place], float(min(along[place] / norm[place], NUMERICS.template_amplitudes[1])))
         for place in best.values()
     ]
 
@@ -155,9 +146,10 @@ def from_rest(
     """
     bounds, opened = search.bounds(fit.nuisance), slice(len(search.measured), fit.nuisance.moving)
     low, high = bounds.low.copy(), bounds.high.copy()
-    low[opened], high[opened] = np.clip(low[opened], -FAR, FAR), np.clip(high[opened], -FAR, FAR)
+    far = NUMERICS.far_sd
+    low[opened], high[opened] = np.clip(low[opened], -far, far), np.clip(high[opened], -far, far)
     best = best_single_effects(templates, fit.residual, fit.nuisance, Bounds(low, high))
-    worth = [one for one in best if one.gain >= METHOD.refit_share * best[0].gain]
+    worth = [one for one in best if one.gain >= NUMERICS.refit_share * best[0].gain]
     return [(one.templates[0], one.amplitudes[0], one.gain) for one in worth]
 
 
@@ -178,7 +170,7 @@ def pairs_from_rest(
     """
     found = []
     scored = best_effect_pairs(templates, base.residual, base.nuisance, search.bounds(base.nuisance), least)
-    for pair in scored[: METHOD.pairs_refitted]:
+    for pair in scored[: NUMERICS.pairs_refitted]:
         members = sorted(
             zip(pair.templates, pair.amplitudes, strict=True), key=lambda one: one[0].id not in best.point.values
         )
@@ -219,7 +211,7 @@ def scattering(
 def _gain_beside_means(search: SimulatorLikelihood, template: ResponseTemplate) -> float:
     """Decrease, by a scaled response, of the squares of departures in entries that are no means of elements."""
     there, here = (
-        search.mean(replace(search.origin, values=values), METHOD.screen_frames)
+        search.mean(replace(search.origin, values=values), NUMERICS.screen_frames)
         for values in ({template.id: template.values}, {})
     )
     along = norm = 0.0
@@ -234,7 +226,7 @@ def _gain_beside_means(search: SimulatorLikelihood, template: ResponseTemplate) 
 
 def stands_far(point: ParameterPoint) -> bool:
     """Check whether something that the model leaves open has moved by more than such things do by chance."""
-    return any(abs(value) > FAR for value in point.open.values())
+    return any(abs(value) > NUMERICS.far_sd for value in point.open.values())
 
 
 def fitted(
@@ -243,7 +235,7 @@ def fitted(
     proposed: Sequence[Proposal],
     misfit: float,
     progress: Callable[[str], None],
-    profiled: int = PROFILED_BESIDE,
+    profiled: int = NUMERICS.profiled_beside,
 ) -> list[Candidate]:
     """Effects fitted in the simulator, each on top of its point; best first. One at least, and no further one once as
     many frames were simulated as may be. Beside the first few, ``profiled``, the nuisances are fitted anew."""
@@ -255,22 +247,26 @@ def fitted(
         values = {**point.values, template.id: _start(template, amplitude)}
         starts = [(replace(point, values=values), base.nuisance)]
         response = template.response
-        shadowed = response @ base.nuisance(response) < SHADOWED[stands_far(point)] * (response @ response)
+        shadowed = response @ base.nuisance(response) < NUMERICS.shadowed_shares[stands_far(point)] * (
+            response @ response
+        )
         if shadowed and place < profiled and not point.values:
             # The nuisances have moved to look like the effect while it was not there: profile over them beside it.
             starts.append(_profiled_along(search, base, point, template, misfit))
         fits = []
         for start, nuisance in starts:
-            fits.append(search.fit(located(search, start, template.id, base), nuisance, base.base, QUICK))
+            fits.append(
+                search.fit(located(search, start, template.id, base), nuisance, base.base, NUMERICS.first_fit_steps)
+            )
         fit = min(fits, key=lambda one: one.misfit)
         if stands_far(fit.point) and place < profiled and not point.values:
             # The nuisances may have settled in a wrong place: profile over them from zero beside the effect as found.
-            start, nuisance, _ = search.profile_beside(ParameterPoint(fit.point.values), base, PROFILE_ROUNDS)
-            fit = min(fit, search.fit(start, nuisance, base.base, QUICK), key=lambda one: one.misfit)
+            start, nuisance, _ = search.profile_beside(ParameterPoint(fit.point.values), base, NUMERICS.profile_rounds)
+            fit = min(fit, search.fit(start, nuisance, base.base, NUMERICS.first_fit_steps), key=lambda one: one.misfit)
         found.append(Candidate(template.id, fit, misfit - fit.misfit))
     least = min(candidate.fit.misfit for candidate in found)
     for place, one in enumerate(found):
-        if one.fit.misfit < least + CLOSE:
+        if one.fit.misfit < least + NUMERICS.rival_chi2:
             progress("refining " + " and ".join(one.fit.point.values))
             fit = _refined(search, one.fit)
             found[place] = Candidate(one.id, fit, misfit - fit.misfit)
@@ -280,13 +276,13 @@ def fitted(
 
 def _refined(search: SimulatorLikelihood, fit: Fit) -> Fit:
     """Fitted on, with the scatter and the nuisances as they are where the fit stands, while that helps."""
-    for _ in range(METHOD.reweightings):
+    for _ in range(NUMERICS.reweightings):
         if search.exhausted:
             break
         found = search.fit(fit.point, search.nuisance(fit.point, fit.base), fit.base)
         gained = fit.misfit - found.misfit
         fit = found if gained > 0 else fit
-        if gained < METHOD.converged_chi2:
+        if gained < NUMERICS.converged_chi2:
             break
     return fit
 
@@ -310,7 +306,9 @@ def _profiled_along(
 
     def profiled(values: Mapping[str, float]) -> tuple[ParameterPoint, Systematics, float]:
         values = _start(replace(template, values=values), 1.0)
-        return search.profile_beside(ParameterPoint({**point.values, template.id: values}), base, PROFILE_ROUNDS)
+        return search.profile_beside(
+            ParameterPoint({**point.values, template.id: values}), base, NUMERICS.profile_rounds
+        )
 
     (name,) = [
         one.name for one in template.grid.effect.arguments if one.identity is not None and one.name in template.values
@@ -322,10 +320,10 @@ def _profiled_along(
     strengths = {values[name] for curve in curves for values in curve.points[: 2 if len(curves) > 1 else 3]}
     found = {strength: profiled({**template.values, name: strength}) for strength in sorted(strengths)}
     if declared.identity is not None and math.isfinite(declared.identity):
-        for _ in range(OUTWARD):
+        for _ in range(NUMERICS.valley_steps):
             # Along a narrow valley, in which an effect and the record say nearly the same, no derivative leads.
             strength = min(found, key=lambda one: found[one][2])
-            farther = declared.identity + OUTWARD_STEP * (strength - declared.identity)
+            farther = declared.identity + NUMERICS.valley_factor * (strength - declared.identity)
             farther = min(max(farther, declared.low), declared.high)
             if any((one - strength) * (strength - declared.identity) > 0 for one in found) or farther == strength:
                 break
@@ -356,6 +354,6 @@ def _start(template: ResponseTemplate, amplitude: float) -> dict[str, float]:
     for one in effect.arguments:
         value = template.values.get(one.name, one.value)
         if one.identity is not None and math.isfinite(one.identity) and value != one.identity:
-            value = one.identity + max(amplitude, METHOD.least_amplitude) * (value - one.identity)
+            value = one.identity + max(amplitude, NUMERICS.least_amplitude) * (value - one.identity)
         found[one.name] = min(max(value, one.low), one.high) if math.isfinite(value) else value
     return found

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS, SCATTER
 from torchweather.gap.inference.simulated_distribution import FrameModel
 from torchweather.gap.statistics.frame_statistics import Pool
 
@@ -49,10 +49,10 @@ def clear_air(model: FrameModel, seed: int) -> list[ClearAir]:
     for name in model.clear_frames:
         pool = Pool(layout, model.clear(name))
         number = len(pool)
-        if number < METHOD.clear_frames_min:
+        if number < SCATTER.clear_frames_min:
             continue
         half = number // 2
-        order = np.argsort(np.random.default_rng([seed, 6700417]).random((METHOD.clear_splits, number)), 1)
+        order = np.argsort(np.random.default_rng([seed, 6700417]).random((NUMERICS.clear_splits, number)), 1)
         order = np.concatenate([np.arange(number)[None], order])
         apart = pool.vectors(order[:, :half]) - pool.vectors(order[:, -half:])
         counts = binned & pool.enough(half)
@@ -60,6 +60,6 @@ def clear_air(model: FrameModel, seed: int) -> list[ClearAir]:
         z = np.where(counts & (scatter > LEAST_SCATTER), apart / np.maximum(scatter, LEAST_SCATTER), 0.0)
         misfit = (z**2).sum(1)
         place = int(np.abs(z[0]).argmax())
-        p_value = (1 + int((misfit[1:] >= misfit[0] * (1.0 - 1e-12)).sum())) / (METHOD.clear_splits + 1)
+        p_value = (1 + int((misfit[1:] >= misfit[0] * (1.0 - 1e-12)).sum())) / (NUMERICS.clear_splits + 1)
         found.append(ClearAir(name, p_value, groups[place].statistic, groups[place].axis, float(z[0, place])))
     return found

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.response_templates import ResponseTemplate, pair_delta_chi2
 from torchweather.gap.inference.systematics import Bounds, Systematics, bounded_step, moving_only
 
@@ -65,7 +65,7 @@ class SetScores:
         return EffectSet(tuple(self.templates[one] for one in places), amplitudes, self.alone - misfit)
 
     def _misfit(self, places: tuple[int, ...]) -> tuple[float, tuple[float, ...]]:
-        low, high = (np.full(len(places), end) for end in METHOD.template_amplitudes)
+        low, high = (np.full(len(places), end) for end in NUMERICS.template_amplitudes)
         columns = self.responses[:, list(places)]
         found = bounded_step(self.residual, self.nuisance, self.bounds, columns, Bounds(low, high))
         return found.misfit, tuple(float(one) for one in found.amplitudes)
@@ -110,7 +110,7 @@ def best_effect_pairs(
     names = np.array([template.id for template in templates])
     best: dict[frozenset[str], tuple[int, int]] = {}
     for one, other in zip(*np.unravel_index(np.argsort(-gain, axis=None), gain.shape), strict=True):
-        if names[one] != names[other] and len(best) < METHOD.pairs_screened:
+        if names[one] != names[other] and len(best) < NUMERICS.pairs_screened:
             best.setdefault(frozenset((names[one], names[other])), (int(one), int(other)))
     singles = {place for pair in best.values() for place in pair}
     needed = max((scored(place).gain for place in singles), default=0.0) + least

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS, SCATTER
 from torchweather.gap.statistics.frame_statistics import COUNTED, Layout, Pool
 
 __all__ = ["EventsAlongAxes", "events_along_axes"]
@@ -66,13 +66,13 @@ def events_along_axes(layout: Layout, pools: Mapping[str, Pool]) -> EventsAlongA
         for pool in pools.values():
             weight, value = (getattr(pool.frames, name)[:, part].mean(0) for name in ("weight", "value"))
             seen[part] += value if group.kind == "count" else np.minimum(value, weight - value)
-        unseen[part] = 1.0 / (1.0 + METHOD.portioned_frames * seen[part] / METHOD.counting_prior_frames)
+        unseen[part] = 1.0 / (1.0 + NUMERICS.portioned_frames * seen[part] / SCATTER.counting_prior_frames)
     correlation = np.zeros((layout.size, layout.size))
     for parts in families.values():
-        totals = [METHOD.pool_frames * seen[part].sum() + METHOD.jeffreys_events for part in parts]
+        totals = [NUMERICS.pool_frames * seen[part].sum() + SCATTER.jeffreys_events for part in parts]
         column = np.zeros((layout.size, len(parts)))
         for number, part in enumerate(parts):
-            expected = METHOD.pool_frames * seen[part] + METHOD.jeffreys_events
+            expected = NUMERICS.pool_frames * seen[part] + SCATTER.jeffreys_events
             # An axis that ends before the others covers less of the events.
             covered = totals[number] / max(totals)
             column[part, number] = np.sqrt(covered * expected / expected.sum())

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from torchweather.core.errors import TorchweatherError, check_one_of
 from torchweather.gap.inference.candidate_fits import (
-    CLOSE,
-    PROFILED_BESIDE,
     Candidate,
     Proposal,
     best_of_each_set,
@@ -37,7 +35,7 @@ from torchweather.gap.inference.candidate_fits import (
     unscaled_templates,
 )
 from torchweather.gap.inference.clear_air import ClearAir, clear_air
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import METHOD, NUMERICS
 from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.global_test import GlobalTest, counted_entries, located_templates, run_global_test
 from torchweather.gap.inference.held_out import HeldOut, excess_left, held_out
@@ -57,17 +55,6 @@ from torchweather.stages.catalogue import EFFECTS
 __all__ = ["GapResult", "find_gap_with"]
 
 Floats = NDArray[np.float64]
-
-# Candidates that are fitted: alone, on top of others, and such as what is left open may stand for.
-REFITTED, ADDED_REFITTED, HIDDEN_REFITTED, REST_REFITTED = 4, 2, 1, 5
-# Of what is explained where an added effect acts, that it must add (``model_error.py``); and of the residual misfit,
-# unless it adds so much of all that is explained: what another form of the first effect leaves is patched by many.
-ADDED_SHARE, ADDED_SHARE_SURE, OF_THE_RESIDUAL = 0.03, 0.1, 0.6
-# By which an added effect must lower the misfit of held-out conditions, two standard deviations, however much it
-# explains elsewhere; an alarm is beyond noise already: they must not speak against its effect. One that explains more
-# than SURE_GAIN they may, by so much of the remainder: where they hardly show it.
-HELD_GAIN, SURE_GAIN, HELD_LOSS = 4.0, 50.0, 0.1
-RESIDUAL_SHARE, UNKNOWN_SHARE = 0.01, 0.25  # of what departs, that is left as a residual in such statistics
 
 
 @dataclass(frozen=True)
@@ -146,7 +133,7 @@ def find_gap_with(
     singles: list[Candidate] = []
     if global_test.p_value <= METHOD.alarm_p or stands_far(base.point):
         # What is left open may have moved as far as to look like an effect: candidates are fitted beside it.
-        number = REFITTED if global_test.p_value <= METHOD.alarm_p else PROFILED_BESIDE
+        number = NUMERICS.refitted if global_test.p_value <= METHOD.alarm_p else NUMERICS.profiled_beside
         singles = _singles(search, base, global_test, number, progress)
         if global_test.p_value > METHOD.alarm_p:
             # The effect may only have led the nuisances to where they belong: they are profiled from there without it.
@@ -178,9 +165,9 @@ def _singles(
     promised = {template.id for template, _ in best}
     if stands_far(base.point):
         hidden = hidden_templates(global_test.templates, nuisance, slice(len(search.measured), nuisance.moving))
-        hidden = [one for one in hidden[:HIDDEN_REFITTED] if one[0].id not in promised]
+        hidden = [one for one in hidden[: NUMERICS.hidden_refitted] if one[0].id not in promised]
         rest = [(template, size) for template, size, _ in from_rest(search, base, global_test.templates)]
-        rest = rest[:REST_REFITTED]
+        rest = rest[: NUMERICS.rest_refitted]
         others = [one for one in (*hidden, *best) if one[0].id not in {template.id for template, _ in rest}]
         best = [*rest, *others][: max(number, len(rest) + 1)]
         promised |= {template.id for template, _ in rest}
@@ -225,13 +212,13 @@ def _rounds(
         rounds[-1][0] = best = replace(best, held=after)
         explained = global_test.misfit - best.fit.misfit
         left = best.fit.nuisance.left(best.fit.residual)
-        excess = OF_THE_RESIDUAL * global_test.residual_test.excess(left)
+        excess = METHOD.residual_explained_share * global_test.residual_test.excess(left)
         significant = global_test.residual_test.p_value(left) < METHOD.residual_p
-        least = max(threshold, min(ADDED_SHARE_SURE * explained, excess if significant else 0.0))
+        least = max(threshold, min(METHOD.added_share_sure * explained, excess if significant else 0.0))
         earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
-        if earlier_held is not None and earlier_held.misfit - after.misfit < HELD_GAIN:
+        if earlier_held is not None and earlier_held.misfit - after.misfit < METHOD.held_gain:
             return rounds[:-1]
-        if len(values) == METHOD.max_effects or search.exhausted:
+        if len(values) == NUMERICS.max_effects or search.exhausted:
             return rounds
         remaining = _remaining_templates(search, global_test, best)
         sure = max(threshold, excess) if significant else math.inf
@@ -244,7 +231,7 @@ def _rounds(
                 pairs = pairs_from_rest(search, base, best.fit, templates, threshold)
         fresh, proposed = _on_top(search, remaining, best, least, threshold, sure)
         if remaining and stands_far(best.fit.point):
-            hidden = from_rest(search, best.fit, remaining)[:REST_REFITTED]
+            hidden = from_rest(search, best.fit, remaining)[: NUMERICS.rest_refitted]
             pairs += [(best.fit.point, template, size) for template, size, gain in hidden if gain >= threshold]
         if pairs:
             proposed = [*(proposed or _best_on_top(best, remaining)), *pairs]
@@ -289,7 +276,7 @@ def _that_earn(
     kept: list[Candidate] = []
     for one in added:
         # What lies far behind one that earned its place is no rival of it.
-        if kept and one.fit.misfit > kept[0].fit.misfit + CLOSE:
+        if kept and one.fit.misfit > kept[0].fit.misfit + NUMERICS.rival_chi2:
             break
         own = fresh.get(one.id, math.inf)
         if own < sure and gained_elsewhere(search, best.fit, one.fit) < METHOD.fresh_share * one.gain:
@@ -314,14 +301,14 @@ def _fitted_on_top(
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
     found = fitted(search, base, proposed, best.fit.misfit, progress)
     promised = float(delta_chi2(remaining, left[None], nuisance)[0].max()) if remaining else 0.0
-    for _ in range(ADDED_REFITTED):
+    for _ in range(NUMERICS.added_refitted):
         gained = max((one.gain for one in found), default=0.0)
         others = [template for template in remaining if template.id not in {one.id for one in found}]
         if (
             not others
             or search.exhausted
             or gained >= promised
-            or delta_chi2(others, left[None], nuisance).max() < max(METHOD.refit_share * gained, threshold)
+            or delta_chi2(others, left[None], nuisance).max() < max(NUMERICS.refit_share * gained, threshold)
         ):
             break
         template, amplitude = best_templates(others, left, nuisance)[0]
@@ -359,7 +346,7 @@ def _earns(search: SimulatorLikelihood, best: Candidate, added: Candidate, fresh
     """
     fit = added.fit
     beside = float(explained_beside(search, best.fit, response_of(search, fit, added.id)[None])[0])
-    needed = min(fresh, max(least, ADDED_SHARE * beside))
+    needed = min(fresh, max(least, METHOD.added_share * beside))
     if added.gain < needed:
         return False
     alone = search.fit(fit.point.without(added.id), fit.nuisance, fit.base)
@@ -400,7 +387,7 @@ def _on_top(
     found = best.fit.point.values
     fresh = {name: value for name, value in fresh.items() if not any(_confusable(name, one) for one in found)}
     beside = explained_beside(search, best.fit, np.stack([template.response for template in remaining]))
-    if not fresh and (gain < np.maximum(least, ADDED_SHARE * beside)).all():
+    if not fresh and (gain < np.maximum(least, METHOD.added_share * beside)).all():
         return fresh, []
     return fresh, _best_on_top(best, remaining, fresh.keys())
 
@@ -431,7 +418,7 @@ def _best_on_top(
 ) -> list[Proposal]:
     """The best templates on top of an effect, and the best one of some effects."""
     nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
-    added = best_templates(remaining, left, nuisance)[:ADDED_REFITTED] if remaining else []
+    added = best_templates(remaining, left, nuisance)[: NUMERICS.added_refitted] if remaining else []
     own = [template for template in remaining if template.id in fresh]
     added += best_templates(own, left, nuisance)[:1] if own else []
     return list(
@@ -465,7 +452,7 @@ def _verdict(
     )
     if explained < global_test.threshold:
         return unexplained
-    if before.misfit - after.misfit < -HELD_LOSS * max(explained - SURE_GAIN, 0.0):
+    if before.misfit - after.misfit < -METHOD.held_loss_share * max(explained - METHOD.sure_gain, 0.0):
         return unexplained
     left = fit.nuisance.left(fit.residual)
     rest_share, share = (
@@ -477,9 +464,9 @@ def _verdict(
     held = excess_left(before.gap, after.gap, after.floor)
     if before.gap > METHOD.residual_gap * before.floor and held is not None and held <= METHOD.repaired_share:
         share = 0.0  # a rest, of which held-out conditions show next to nothing
-    if share > UNKNOWN_SHARE or far or (rest and over > METHOD.unexplained_share):
+    if share > METHOD.unknown_share or far or (rest and over > METHOD.unexplained_share):
         return "unknown"
-    return "named_and_rest" if rest or rest_share > RESIDUAL_SHARE else "named"
+    return "named_and_rest" if rest or rest_share > METHOD.rest_share else "named"
 
 
 def _share_left(test: ResidualTest, left: Floats, explained: float) -> float:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import METHOD, NUMERICS, SCATTER
 from torchweather.gap.inference.degrees_of_freedom import (
     StatisticDegrees,
     as_of_known_noise,
@@ -77,7 +77,7 @@ class GlobalTest:
         along = (own for one, own in zip(self.templates, self.degrees_of_freedom, strict=True) if one.id in effects)
         degrees_of_freedom = min(along, default=self.degrees_of_all)
         tail = _tail(self.best_null, float(as_of_known_noise(max(gain, 0.0), degrees_of_freedom)))
-        return replace(self, p_value=min(self.p_value, METHOD.departures * tail))
+        return replace(self, p_value=min(self.p_value, NUMERICS.departures * tail))
 
     @property
     def threshold(self) -> float:
@@ -98,7 +98,7 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
     near = {
         id(template.grid)
         for template, one in zip(templates, gain, strict=True)
-        if one >= METHOD.refined_share * gain.max()
+        if one >= NUMERICS.refined_share * gain.max()
     }
     remaining = [
         (grid, place)
@@ -108,7 +108,7 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
         if place not in grid.first
     ]
     templates += search.templates(remaining, search.origin, search.start)
-    nulls = search.null_residuals(nuisance, METHOD.null_draws, seed)
+    nulls = search.null_residuals(nuisance, NUMERICS.null_draws, seed)
     of_nulls = delta_chi2(templates, nuisance(nulls), nuisance)
     placed = np.array([any(one.name in PLACES for one in template.grid.effect.arguments) for template in templates])
     best_null = best_of_places(of_nulls, placed, _sectors(search), seed)
@@ -120,12 +120,12 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
     misfit = search.misfit(residual, nuisance)
     counted = counted_entries(search)
     p_gain = _tail(best_null, float(as_of_known_noise(gain, degrees_of_freedom).max()))
-    of_all = min(known.of_all, METHOD.known_degrees)
+    of_all = min(known.of_all, SCATTER.known_degrees)
     unsure = np.random.default_rng([seed, 49979687]).chisquare(of_all, len(misfit_null)) / of_all
     p_misfit = _tail(misfit_null / unsure, misfit)
     each = residual_test(search, base)
-    p_common = min(1.0, METHOD.departures * each.common_p_value(left))
-    p_value = min(p_common, METHOD.departures * min(p_gain, p_misfit, each.p_value(left)))
+    p_common = min(1.0, NUMERICS.departures * each.common_p_value(left))
+    p_value = min(p_common, NUMERICS.departures * min(p_gain, p_misfit, each.p_value(left)))
     return GlobalTest(
         residual,
         misfit,
@@ -201,7 +201,7 @@ def best_of_places(gains: Floats, placed: NDArray[np.bool_], places: int, seed: 
 def _sectors(search: SimulatorLikelihood) -> int:
     """Places in azimuth to choose from, over those that are looked at."""
     bins = max((group.bins for group in search.model.layout.groups if group.axis == "azimuth_rad"), default=1)
-    return max(bins // METHOD.places_looked_at, 1)
+    return max(bins // NUMERICS.places_looked_at, 1)
 
 
 def counted_entries(search: SimulatorLikelihood) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import METHOD, NUMERICS
 from torchweather.gap.inference.global_test import expected_square
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 
@@ -38,7 +38,7 @@ class HeldOut:
 def held_out(held: SimulatorLikelihood, fitted: Fit, seed: int) -> HeldOut:
     """The held-out departure at a point of effects."""
     counted = max(expected_square(held), 1.0)
-    nulls = held.null_residuals(fitted.nuisance, METHOD.floor_draws, seed)
+    nulls = held.null_residuals(fitted.nuisance, NUMERICS.floor_draws, seed)
     left = np.einsum("rk,rk->r", nulls, fitted.nuisance(nulls))
     floor = np.sqrt(np.maximum(left, 0.0) / counted)  # rounding, where departures are millions of scatters
     gap = math.sqrt(max(fitted.misfit, 0.0) / counted)

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import METHOD, SCATTER
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
 from torchweather.gap.inference.systematics import Systematics
@@ -36,7 +36,7 @@ def insensitive_statistics(search: SimulatorLikelihood, fit: Fit) -> NDArray[np.
     still = {}
     for statistic, parts in changed.items():
         values = np.concatenate(parts)
-        still[statistic] = len(values) > 0 and float(np.sqrt((values**2).mean())) < METHOD.sensitive_rms
+        still[statistic] = len(values) > 0 and float(np.sqrt((values**2).mean())) < SCATTER.sensitive_rms
     entries = layout.each(lambda group: still[group.statistic])
     return np.tile(entries, len(search.measured))
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchweather.core.threads import side_by_side
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS, SCATTER
 from torchweather.gap.inference.effect_forms import (
     catalogue_effect,
     complexity_penalty,
@@ -46,12 +46,6 @@ from torchweather.pipeline.effect import Effect
 __all__ = ["Fit", "SimulatorLikelihood", "ParameterPoint"]
 
 Floats = NDArray[np.float64]
-
-# Step of a derivative by the weather's intensity, in its standard deviations; at least, of its logarithm.
-INTENSITY_STEP, LEAST_INTENSITY_STEP = 0.5, 0.005
-WEAK_STEP, LEAST_STEP = 0.5, 2e-3  # at most of a weak parameter's departure from its identity; at least of that size
-SHARES, LONGEST = (1.0, 0.4, 0.15), 32.0  # of a step, until one helps; and how far one is doubled
-STALLED, STALLED_SHARE = 0.5, 1e-3  # of the cost, and its share, below which a step does not count
 
 
 @dataclass(frozen=True)
@@ -113,7 +107,7 @@ class SimulatorLikelihood:
         model: FrameModel,
         measured: Sequence[Observation],
         seed: int,
-        pool_frames: int = METHOD.pool_frames,
+        pool_frames: int = NUMERICS.pool_frames,
         max_frames: int | None = None,
     ) -> None:
         self.model, self.measured, self.seed, self.max_frames = model, list(measured), seed, max_frames
@@ -124,7 +118,7 @@ class SimulatorLikelihood:
         self.open = {k: low for target in self.measured for k, low in model.open(target.condition).items()}
         portions = _portions(self.measured)
         self.noise = element_noise(
-            self.pools(ParameterPoint(), METHOD.portioned_frames, portions), self.measured, portions
+            self.pools(ParameterPoint(), NUMERICS.portioned_frames, portions), self.measured, portions
         )
         self.frame_departures = frame_departures(model, self.measured)
         self.clear_means = clear_means(model, self.measured)
@@ -134,8 +128,8 @@ class SimulatorLikelihood:
 
     def _nothing_kept(self) -> dict[str, KeptFrames]:
         # Frames of a model in which they depend on each other are those of one number of frames.
-        ends = (METHOD.screen_frames, METHOD.probe_frames, self.pool_frames) if self._frames_are_alone else ()
-        most = METHOD.kept_frames // max(len(self.measured), 1)
+        ends = (NUMERICS.screen_frames, NUMERICS.probe_frames, self.pool_frames) if self._frames_are_alone else ()
+        most = NUMERICS.kept_frames // max(len(self.measured), 1)
         return {name: KeptFrames(ends, most) for name in self._names}
 
     @property
@@ -224,7 +218,7 @@ class SimulatorLikelihood:
         def wider(scatter: Mapping[str, Floats]) -> dict[str, Floats]:
             return {
                 name: np.hypot(
-                    own, METHOD.unmodelled_share * np.where(open_entries, base.mean[name] - self.start.mean[name], 0.0)
+                    own, SCATTER.unmodelled_share * np.where(open_entries, base.mean[name] - self.start.mean[name], 0.0)
                 )
                 for name, own in scatter.items()
             }
@@ -233,7 +227,7 @@ class SimulatorLikelihood:
         shared = {name: base.shared[name] * (base.sd[name] / np.maximum(sd[name], TINY)) for name in sd}
         return replace(base, sd=sd, total=wider(base.total), shared=shared)
 
-    def mean(self, point: ParameterPoint, frames: int = METHOD.probe_frames) -> list[Floats]:
+    def mean(self, point: ParameterPoint, frames: int = NUMERICS.probe_frames) -> list[Floats]:
         """Mean vectors at a point, from so many frames of each condition, no fewer than were measured."""
         frames = max(frames, self.least_frames)
         pools = self.pools(point, frames)
@@ -241,7 +235,7 @@ class SimulatorLikelihood:
         for number, target in enumerate(self.measured):
             generator = np.random.default_rng([self.seed, 104729, number])
             n = min(target.frames, frames)
-            draws = METHOD.probe_draws if n < frames else 1
+            draws = NUMERICS.probe_draws if n < frames else 1
             index = np.argsort(generator.random((draws, frames)), 1)[:, :n]
             vectors = pools[target.condition.id].vectors(index, target.condition.time_s)
             found.append(vectors.mean(0))
@@ -333,7 +327,7 @@ class SimulatorLikelihood:
         own = self.whitened(self.start, [one[row] for one, row in zip(drawn, rows, strict=True)])
         shown = own.var(0)
         lacking = np.maximum(expected - shown, 0.0)
-        alike = lacking < METHOD.lacking_over_shown * shown
+        alike = lacking < SCATTER.lacking_over_shown * shown
         another = own[generator.permutation(number)] / np.sqrt(np.where(alike, shown, 1.0))
         noise = own + np.sqrt(lacking) * np.where(alike, another, generator.normal(size=own.shape))
         found: Floats = noise + nuisance.drawn(generator, number)
@@ -357,14 +351,14 @@ class SimulatorLikelihood:
         """Where nuisances may stand, in standard deviations; those that no simulator moves may anywhere."""
         number = len(self.measured)
         low, high = np.full(len(nuisance.offset), -np.inf), np.full(len(nuisance.offset), np.inf)
-        low[: nuisance.moving], high[: nuisance.moving] = -METHOD.nuisance_bound_sd, METHOD.nuisance_bound_sd
+        low[: nuisance.moving], high[: nuisance.moving] = -SCATTER.nuisance_bound_sd, SCATTER.nuisance_bound_sd
         low[number : nuisance.moving] = np.maximum(low[number : nuisance.moving], list(self.open.values()))
         return Bounds(low, high)
 
     def shifted(self, point: ParameterPoint, step: Floats) -> ParameterPoint:
         """A point with its nuisances moved by a step ``(K,)``."""
         sd, number = self.intensity_sd(), len(self.measured)
-        place = np.clip(self.offset(point) + step, -METHOD.nuisance_bound_sd, METHOD.nuisance_bound_sd)
+        place = np.clip(self.offset(point) + step, -SCATTER.nuisance_bound_sd, SCATTER.nuisance_bound_sd)
         place[number : number + len(self.open)] = np.maximum(
             place[number : number + len(self.open)], list(self.open.values())
         )
@@ -375,14 +369,14 @@ class SimulatorLikelihood:
     def nuisance(self, point: ParameterPoint, base: SimulatedDistribution) -> Systematics:
         """Responses to the nuisances at a point: differences in the simulator."""
         sd = self.intensity_sd()
-        steps = np.maximum(INTENSITY_STEP * sd, LEAST_INTENSITY_STEP)
+        steps = np.maximum(NUMERICS.intensity_step_sd * sd, NUMERICS.least_intensity_step)
         ends = []
         for sign in (1.0, -1.0):
             log_intensity = {
                 target.condition.id: point.log_intensity.get(target.condition.id, 0.0) + sign * step
                 for target, step in zip(self.measured, steps, strict=True)
             }
-            ends.append(self.mean(replace(point, log_intensity=log_intensity), METHOD.screen_frames))
+            ends.append(self.mean(replace(point, log_intensity=log_intensity), NUMERICS.screen_frames))
         columns = [
             self._column(base, {number: (high - low) * (sd[number] / (2.0 * step))})
             for number, (high, low, step) in enumerate(zip(*ends, steps, strict=True))
@@ -400,7 +394,7 @@ class SimulatorLikelihood:
         """Responses to what the model leaves open, per standard deviation; at once where no condition has two of it."""
         if not self.open:
             return []
-        before = self.mean(point, METHOD.screen_frames)
+        before = self.mean(point, NUMERICS.screen_frames)
         places = {
             name: [k for k, target in enumerate(self.measured) if name in self.model.open(target.condition)]
             for name in self.open
@@ -416,12 +410,12 @@ class SimulatorLikelihood:
                 strength = point.open.get(name, 0.0)
                 # A short one would be noise alone.
                 steps[name] = (
-                    METHOD.systematic_step_sd
-                    if strength + METHOD.systematic_step_sd <= METHOD.nuisance_bound_sd
-                    else -METHOD.systematic_step_sd
+                    NUMERICS.systematic_step_sd
+                    if strength + NUMERICS.systematic_step_sd <= SCATTER.nuisance_bound_sd
+                    else -NUMERICS.systematic_step_sd
                 )
             moved = {name: point.open.get(name, 0.0) + step for name, step in steps.items()}
-            after = self.mean(replace(point, open={**point.open, **moved}), METHOD.screen_frames)
+            after = self.mean(replace(point, open={**point.open, **moved}), NUMERICS.screen_frames)
             for name, step in steps.items():
                 columns[name] = self._column(base, {k: (after[k] - before[k]) / step for k in places[name]})
         return [columns[name] for name in self.open]
@@ -433,9 +427,9 @@ class SimulatorLikelihood:
 
     def profile(self, point: ParameterPoint) -> Fit:
         """Profile over the nuisances at a point of effects; the intensities are first looked for on a grid."""
-        point = self._scanned(point, METHOD.intensity_halvings_sd)
+        point = self._scanned(point, NUMERICS.intensity_halvings_sd)
         base = self.at(point)
-        point, nuisance, _ = self._profiled(point, base, self.nuisance(point, base), METHOD.nuisance_rounds)
+        point, nuisance, _ = self._profiled(point, base, self.nuisance(point, base), NUMERICS.nuisance_rounds)
         if not point.values:
             for target in self.measured:
                 self.model.render_near(target.condition, point.log_intensity.get(target.condition.id, 0.0))
@@ -459,7 +453,7 @@ class SimulatorLikelihood:
         """
         point = self._scanned(point)
         here = like.nuisance.moved(self.offset(point))
-        found, nuisance, residual = self._profiled(point, like.base, here, rounds, METHOD.kept_while_gained)
+        found, nuisance, residual = self._profiled(point, like.base, here, rounds, NUMERICS.kept_while_gained)
         return found, nuisance, self.misfit(residual, nuisance)
 
     def _profiled(
@@ -485,7 +479,7 @@ class SimulatorLikelihood:
             gained, promised = cost - found[0], cost - step.misfit
             cost, point, mean = found
             residual = self.departure(base, mean)
-            if gained < METHOD.converged_chi2 + STALLED_SHARE * cost:
+            if gained < NUMERICS.converged_chi2 + NUMERICS.stalled_share * cost:
                 break
             if gained < kept_while_gained * promised:
                 nuisance = self.nuisance(point, base)
@@ -506,7 +500,7 @@ class SimulatorLikelihood:
         sd = self.intensity_sd()
         best = self.offset(point)[: len(sd)]
         least = self._cost_of_intensities(point, best)
-        for place in METHOD.intensity_grid_sd:
+        for place in NUMERICS.intensity_grid_sd:
             best, least = self._better(point, best, least, np.full(len(sd), place))
         for step in halvings:
             middle = best
@@ -524,7 +518,7 @@ class SimulatorLikelihood:
         """``(C,)`` square that each condition's vector leaves at an intensity, with that of the record."""
         sd = self.intensity_sd()
         intensities = {target.condition.id: float(place[k] * sd[k]) for k, target in enumerate(self.measured)}
-        mean = self.mean(replace(point, log_intensity=intensities), METHOD.screen_frames)
+        mean = self.mean(replace(point, log_intensity=intensities), NUMERICS.screen_frames)
         residuals = [
             self.start.whitened(target.condition.id, target.vector - one)
             for target, one in zip(self.measured, mean, strict=True)
@@ -538,12 +532,12 @@ class SimulatorLikelihood:
         self, points: Sequence[tuple[ParameterGrid, int]], point: ParameterPoint, base: SimulatedDistribution
     ) -> list[ResponseTemplate]:
         """Response templates of points, each given by its grid and its place there, on top of a point."""
-        before = self.mean(point, METHOD.screen_frames)
+        before = self.mean(point, NUMERICS.screen_frames)
         found = []
         for grid, number in points:
             values = grid.points[number]
             tried = replace(point, values={**point.values, grid.effect.id: values})
-            after = self.mean(tried, METHOD.screen_frames)
+            after = self.mean(tried, NUMERICS.screen_frames)
             change = [new - old for new, old in zip(after, before, strict=True)]
             found.append(ResponseTemplate(grid, number, values, self.whitened(base, change)))
         return found
@@ -553,7 +547,7 @@ class SimulatorLikelihood:
         start: ParameterPoint,
         nuisance: Systematics,
         base: SimulatedDistribution,
-        iterations: int = METHOD.max_iterations,
+        iterations: int = NUMERICS.max_iterations,
     ) -> Fit:
         """Parameters and nuisances that explain the measured conditions best, by Gauss-Newton in the simulator.
 
@@ -578,7 +572,7 @@ class SimulatorLikelihood:
         covariance: Floats = np.zeros((len(names), len(names)))
         renewed = False
         for _ in range(iterations):
-            near = self.mean(point, METHOD.screen_frames)
+            near = self.mean(point, NUMERICS.screen_frames)
             jacobian = np.stack([self._derivative(point, name, near, base) for name in names], 1)
             projected = here(jacobian.T).T
             normal = jacobian.T @ projected
@@ -591,7 +585,7 @@ class SimulatorLikelihood:
                 gained = cost - found[0]
                 cost, point, mean = found
                 residual, here = self.departure(base, mean), here.moved(self.offset(point))
-            stalled = STALLED + STALLED_SHARE * cost
+            stalled = NUMERICS.stalled_chi2 + NUMERICS.stalled_share * cost
             if gained < stalled:
                 if renewed:
                     break
@@ -653,15 +647,19 @@ class SimulatorLikelihood:
             return nuisance.moved(self.offset(there)).cost(self.departure(base, mean)), there, mean
 
         best = None
-        for share in SHARES:
+        for share in NUMERICS.step_shares:
             found = tried(share)
             if found[0] < cost - 1e-6:
                 best = found
                 break
-        if best is None or share != SHARES[0] or cost - best[0] < METHOD.doubled_from * (cost - step.misfit):
+        if (
+            best is None
+            or share != NUMERICS.step_shares[0]
+            or cost - best[0] < NUMERICS.doubled_from * (cost - step.misfit)
+        ):
             return best
         longer = 2.0
-        while longer <= LONGEST:
+        while longer <= NUMERICS.longest_step:
             found = tried(longer)
             if found[0] >= best[0]:
                 break
@@ -726,19 +724,25 @@ class SimulatorLikelihood:
         effect, parameter = name
         declared = next(one for one in effect_class(self.model, effect).arguments if one.name == parameter)
         value = point.values[effect][parameter]
-        step = METHOD.derivative_step * (
+        step = NUMERICS.derivative_step * (
             max(abs(value), 1e-3) if math.isinf(declared.identity or 0.0) else declared.scale
         )
         if declared.identity is not None and math.isfinite(declared.identity):
             # Counts go as the root of a probability: a step far beyond a weak one has another slope.
-            step = min(step, max(WEAK_STEP * abs(value - declared.identity), LEAST_STEP * declared.scale))
+            step = min(
+                step,
+                max(
+                    NUMERICS.weak_step_share * abs(value - declared.identity),
+                    NUMERICS.least_step_share * declared.scale,
+                ),
+            )
         if parameter in ("azimuth_rad", "width_rad"):  # finer than the sector itself
-            step = max(0.25 * point.values[effect].get("width_rad", 0.0), METHOD.angle_step_rad)
+            step = max(0.25 * point.values[effect].get("width_rad", 0.0), NUMERICS.angle_step_rad)
         step = min(step, 0.25 * (declared.high - declared.low))
         if value + step > declared.high:
             step = -step
         values = {**point.values, effect: {**point.values[effect], parameter: value + step}}
-        after = self.mean(replace(point, values=values), METHOD.screen_frames)
+        after = self.mean(replace(point, values=values), NUMERICS.screen_frames)
         return self.whitened(base, [(new - old) / step for new, old in zip(after, mean, strict=True)])
 
     def _moved(self, point: ParameterPoint, names: Sequence[tuple[str, str]], step: Floats) -> ParameterPoint:
@@ -754,5 +758,5 @@ class SimulatorLikelihood:
 
 def _portions(measured: Sequence[Observation]) -> int:
     """Portions of a frame: the more the fewer clear frames there are, each of which shows its noise but once."""
-    clear = min((target.clear_frames for target in measured), default=METHOD.portioned_frames)
-    return math.ceil(METHOD.portions * max(METHOD.portioned_frames / max(clear, 1), 1.0))
+    clear = min((target.clear_frames for target in measured), default=NUMERICS.portioned_frames)
+    return math.ceil(NUMERICS.portions * max(NUMERICS.portioned_frames / max(clear, 1), 1.0))

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.effect_forms import effect_class, stands_at_a_place
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.starting_points import ParameterGrid
@@ -25,7 +25,6 @@ __all__ = ["located", "standing_grids"]
 
 Floats = NDArray[np.float64]
 
-HALVINGS, OF_WHAT_STANDS, PASSES = 5, 3, 2  # halvings of steps, more of what has a range as well, passes of each
 ANSCOMBE = 3.0 / 8.0
 
 
@@ -39,7 +38,7 @@ def standing_grids(
         return []
     cells = search.model.map_cells
     total = np.zeros(len(cells))
-    pools = search.pools(point, METHOD.location_frames)
+    pools = search.pools(point, NUMERICS.location_frames)
     for target in search.measured:
         # The least of all frames: what stands is in each of them.
         measured = search.model.measured(target.condition).maps[:, 0].min(0)
@@ -49,8 +48,8 @@ def standing_grids(
     return [
         ParameterGrid(one, ({"azimuth_rad": azimuth_rad, "range_m": range_m * share, "width_rad": width},))
         for one in fitting
-        for width in METHOD.location_widths_rad
-        for share in METHOD.location_range_shares
+        for width in NUMERICS.location_widths_rad
+        for share in NUMERICS.location_range_shares
     ]
 
 
@@ -67,7 +66,7 @@ def located(search: SimulatorLikelihood, point: ParameterPoint, name: str, base:
         return point
     arguments = effect_class(search.model, name).arguments
     bounds = {one.name: (one.low, one.high) for one in arguments}
-    width = point.values[name].get("width_rad", METHOD.location_widths_rad[-1])
+    width = point.values[name].get("width_rad", NUMERICS.location_widths_rad[-1])
     steps = {one: width if one == "azimuth_rad" else 0.5 * abs(point.values[name][one]) for one in bounds}
     stands = stands_at_a_place(effect_class(search.model, name))
     conditions = [one.condition for one in search.measured] if stands else []
@@ -75,7 +74,7 @@ def located(search: SimulatorLikelihood, point: ParameterPoint, name: str, base:
 
     def cost(tried: ParameterPoint) -> float:
         here = base.nuisance.moved(search.offset(tried))
-        misfit = search.misfit(search.departure(base.base, search.mean(tried, METHOD.location_frames)), here)
+        misfit = search.misfit(search.departure(base.base, search.mean(tried, NUMERICS.location_frames)), here)
         return misfit + _misfit_of_maps(search, tried, seen)
 
     def moved(by: Mapping[str, float]) -> ParameterPoint:
@@ -85,8 +84,8 @@ def located(search: SimulatorLikelihood, point: ParameterPoint, name: str, base:
         return replace(point, values={**point.values, name: values})
 
     best = cost(point)
-    for _ in range(HALVINGS + OF_WHAT_STANDS * stands):
-        for _ in range(PASSES):
+    for _ in range(NUMERICS.location_halvings + NUMERICS.standing_halvings * stands):
+        for _ in range(NUMERICS.location_passes):
             before = best
             for ways in _ways(steps, with_edges=stands):
                 # All ways: a step to where nothing stands may help less than the step to the other side.
@@ -126,10 +125,10 @@ def _misfit_of_maps(search: SimulatorLikelihood, point: ParameterPoint, seen: Ma
     """
     if not seen:
         return 0.0
-    pools, total = search.pools(point, METHOD.location_frames), 0.0
+    pools, total = search.pools(point, NUMERICS.location_frames), 0.0
     for target in search.measured:
         name = target.condition.id
         simulated = pools[name].frames.maps[:, 0].mean(0)
         apart = np.sqrt(seen[name] + ANSCOMBE) - np.sqrt(simulated + ANSCOMBE)
-        total += 4.0 * float(apart @ apart) / (1.0 / target.frames + 1.0 / METHOD.location_frames)
+        total += 4.0 * float(apart @ apart) / (1.0 / target.frames + 1.0 / NUMERICS.location_frames)
     return total

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 
 __all__ = ["explained_beside", "response_of"]
@@ -43,5 +43,5 @@ def explained_beside(search: SimulatorLikelihood, fit: Fit, responses: Floats) -
 
 def response_of(search: SimulatorLikelihood, fit: Fit, name: str) -> Floats:
     """Change by one effect of a fit where it stands, ``(C P,)``."""
-    there, here = (search.mean(point, METHOD.screen_frames) for point in (fit.point, fit.point.without(name)))
+    there, here = (search.mean(point, NUMERICS.screen_frames) for point in (fit.point, fit.point.without(name)))
     return search.whitened(fit.base, [new - old for new, old in zip(there, here, strict=True)])

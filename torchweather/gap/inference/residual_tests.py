@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import SCATTER
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
 
 __all__ = ["ResidualTest", "residual_test"]
@@ -123,7 +123,7 @@ class ResidualTest:
             return 1.0
         level, uneven, unsure, squares = level[some], uneven[some], unsure[some], squares[some]
         entries = level**2 / uneven
-        known = unsure * METHOD.known_degrees <= level
+        known = unsure * SCATTER.known_degrees <= level
         degrees_of_freedom = level / np.where(known, level, unsure)
         each = np.where(
             known, chi2.sf(squares * level / uneven, entries), f.sf(squares / level, entries, degrees_of_freedom)
@@ -159,5 +159,5 @@ def residual_test(search: SimulatorLikelihood, base: Fit) -> ResidualTest:
     )
     numbered = {one: place for place, one in enumerate(dict.fromkeys(one.condition.scene for one in search.measured))}
     scene = np.array([numbered[target.condition.scene] for target in search.measured])
-    noise = np.maximum(expected, METHOD.least_level)
+    noise = np.maximum(expected, SCATTER.least_level)
     return ResidualTest(places, used, noise, event, degrees_of_freedom, known_to, scene)

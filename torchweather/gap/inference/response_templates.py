@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.gap.inference.systematics import Systematics
 
@@ -47,7 +47,7 @@ def amplitudes(templates: Sequence[ResponseTemplate], left: Floats, nuisance: Sy
     """Best amplitude of each template on residuals ``(R, C P)`` after the nuisances, and its squared length."""
     responses = np.stack([template.response for template in templates])
     norm = np.maximum((responses * nuisance(responses)).sum(1), 1e-12)
-    found: Floats = np.clip((left @ responses.T) / norm, *METHOD.template_amplitudes)
+    found: Floats = np.clip((left @ responses.T) / norm, *NUMERICS.template_amplitudes)
     return found, norm
 
 
@@ -68,7 +68,7 @@ def pair_delta_chi2(templates: Sequence[ResponseTemplate], left: Floats, nuisanc
     gram = responses @ nuisance(responses).T
     along = responses @ left
     norm = np.maximum(np.diag(gram), 1e-12)
-    low, high = METHOD.template_amplitudes
+    low, high = NUMERICS.template_amplitudes
     first = np.broadcast_to(along[:, None], gram.shape)
     second = first.T
     determinant = np.maximum(norm[:, None] * norm[None] - gram**2, 1e-9 * norm[:, None] * norm[None])

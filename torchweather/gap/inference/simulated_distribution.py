@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from torchweather.gap.inference.calibrated_scatter import MeasuredSize, calibrated_scatter
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS, SCATTER
 from torchweather.gap.inference.events_along_axes import EventsAlongAxes, events_along_axes
 from torchweather.gap.statistics.frame_statistics import TINY, Layout, Pool, Reduced
 from torchweather.gap.study.conditions import Condition
@@ -261,7 +261,7 @@ class Whitening:
 
 def _shrunk_factor(correlation: Floats) -> Floats:
     """Lower Cholesky factor of correlations ``(P, P)``, shrunk towards zero."""
-    found = (1.0 - METHOD.shrinkage) * correlation
+    found = (1.0 - SCATTER.shrinkage) * correlation
     np.fill_diagonal(found, 1.0)
     return np.asarray(np.linalg.cholesky(found), dtype=np.float64)
 
@@ -346,13 +346,13 @@ def simulated_distribution(
     )
     for target in measured:
         name = target.condition.id
-        few = of_squares & (target.clear_frames < METHOD.frames_for_spread)
+        few = of_squares & (target.clear_frames < SCATTER.frames_for_spread)
         before = independent[name] if start is None else start.independent[name]
         grown = np.where(layout.averages, np.maximum(independent[name] / np.maximum(before, TINY), 1.0), 1.0)
         alike = math.sqrt(squares_about_clear_mean(target.frames, target.clear_frames))
         # Where far more elements are seen than when their noise was looked at, in other weather, those tell it.
-        more = _elements(pools[name], 1) > METHOD.more_elements * noise.elements.get(name, np.inf)
-        of_few = pools[name].scatter_of_few(target.frames, METHOD.counting_prior_frames)
+        more = _elements(pools[name], 1) > SCATTER.more_elements * noise.elements.get(name, np.inf)
+        of_few = pools[name].scatter_of_few(target.frames, SCATTER.counting_prior_frames)
         least[name] = np.where(more, np.maximum(independent[name], of_few), 0.0)
         own = np.maximum(noise.scatter[name] * np.where(more, 1.0, grown), least[name])
         elements[name] = np.where(few, independent[name] * alike, own)
@@ -407,7 +407,7 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
         portions: of a frame.
     """
     size = next(iter(portioned.values())).layout.size
-    folds = np.zeros((METHOD.whitening_folds, size, size))
+    folds = np.zeros((NUMERICS.whitening_folds, size, size))
     scatter, known = {}, {}
     layout = next(iter(portioned.values())).layout
     about_own = layout.each(lambda group: group.statistic in layout.about_own_mean)

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.effect_forms import tried_values
 from torchweather.pipeline.effect import Effect, Parameter
 
@@ -37,7 +37,7 @@ class ParameterGrid:
     def curved(self) -> bool:
         """True where no point predicts the next one, so that many are tried: of what cuts, or begins at a
         threshold, or has its identity infinitely far."""
-        return len(self.points) > len(METHOD.start_steps)
+        return len(self.points) > len(NUMERICS.start_steps)
 
     @property
     def first(self) -> tuple[int, ...]:
@@ -49,14 +49,14 @@ class ParameterGrid:
         return (0, number // 2) if number > 2 else (number // 2,)
 
 
-def _strengths(parameter: Parameter, size: float, steps: Sequence[float] = METHOD.start_steps) -> list[list[float]]:
+def _strengths(parameter: Parameter, size: float, steps: Sequence[float] = NUMERICS.start_steps) -> list[list[float]]:
     """Values on either side of the identity, from weak to strong in terms of a typical size, inside the bounds."""
     identity = parameter.identity
     assert identity is not None
     found = []
     for sign in (1.0, -1.0):
         if math.isinf(identity):
-            values = [size * step for step in METHOD.start_steps_far] if sign > 0 else []
+            values = [size * step for step in NUMERICS.start_steps_far] if sign > 0 else []
         elif identity > 0 and parameter.low >= 0:  # a factor
             values = [identity * math.exp(sign * size * step) for step in steps]
         else:
@@ -102,7 +102,9 @@ def parameter_grids(
             if isinstance(size, Sequence):
                 along = [list(size)]
             else:
-                along = _strengths(parameter, size, METHOD.start_steps_of_cuts if effect.cuts else METHOD.start_steps)
+                along = _strengths(
+                    parameter, size, NUMERICS.start_steps_of_cuts if effect.cuts else NUMERICS.start_steps
+                )
             found += [
                 ParameterGrid(effect, tuple({**dict(fixed), parameter.name: value} for value in values))
                 for values in along

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import poisson
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import SCATTER
 
 __all__ = ["ANSCOMBE", "counted_variance", "expected_number", "one_event_sd", "root_variance", "unseen_events"]
 
@@ -66,11 +66,11 @@ def unseen_events(counted: Floats) -> float:
         (0.05, 0.5)
     """
     once, never = int(((counted > 0.0) & (counted < 1.5)).sum()), int((counted <= 0.0).sum())
-    return min((once + METHOD.jeffreys_events) / max(never, 1), METHOD.jeffreys_events)
+    return min((once + SCATTER.jeffreys_events) / max(never, 1), SCATTER.jeffreys_events)
 
 
 def expected_number(
-    counted: Floats, frames: Floats | float, number: int, prior: Floats | float = METHOD.jeffreys_events
+    counted: Floats, frames: Floats | float, number: int, prior: Floats | float = SCATTER.jeffreys_events
 ) -> Floats:
     """Expected number of events in ``number`` frames, after so many were counted in others.
 

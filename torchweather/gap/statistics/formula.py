@@ -24,15 +24,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS
 
 __all__ = ["Formula", "bounded", "simplest_formula"]
 
 Floats = NDArray[np.float64]
 
-# A formula describes a curve where a chi2 as large has this probability at least, or where it leaves no more than this
-# of the square of the curve: beams do not fill bins evenly, and no law of nature is asked for.
-FITS, LEAVES = 1e-3, 0.1
 NOTHING = 1e-12  # a coefficient that is 0 but for rounding
 # Lengths over the width of the axis, and exponents that one would write down.
 LENGTHS = np.geomspace(0.02, 2.0, 40)
@@ -98,9 +95,9 @@ def bounded(edges: ArrayLike) -> Floats:
     found = np.array(edges, dtype=np.float64)
     width = np.diff(found)
     if len(width) > 2:
-        if width[-1] > METHOD.formula_open_bin_ratio * width[-2]:
+        if width[-1] > NUMERICS.formula_open_bin_ratio * width[-2]:
             found[-1] = found[-2] + width[-2]
-        if width[0] > METHOD.formula_open_bin_ratio * width[1]:
+        if width[0] > NUMERICS.formula_open_bin_ratio * width[1]:
             found[0] = found[1] - width[1]
     return found
 
@@ -121,16 +118,20 @@ def simplest_formula(edges: ArrayLike, value: ArrayLike, sd: ArrayLike, axis: st
     """
     ends, y, error = bounded(edges), np.asarray(value, dtype=np.float64), np.asarray(sd, dtype=np.float64)
     known = np.isfinite(y)
-    share = (np.arange(METHOD.formula_points) + 0.5) / METHOD.formula_points
+    share = (np.arange(NUMERICS.formula_points) + 0.5) / NUMERICS.formula_points
     points = ends[:-1, None] + np.diff(ends)[:, None] * share
     found = []
     for form in _forms(axis, points, ends, known):
         fitted = _fitted(form, points, y, error, known)
         if fitted is not None:
             found.append(fitted)
-    good = [one for one, probability, left in found if probability >= FITS or left <= LEAVES]
+    good = [
+        one
+        for one, probability, left in found
+        if probability >= NUMERICS.formula_fits_p or left <= NUMERICS.formula_leaves_share
+    ]
     least = min((one.criterion for one in good), default=0.0)
-    near = [one for one in good if one.criterion <= least + METHOD.formula_criterion_gap]
+    near = [one for one in good if one.criterion <= least + NUMERICS.formula_criterion_gap]
     return min(near, key=lambda one: (SIMPLICITY.index(one.name), one.criterion), default=None)
 
 
@@ -148,7 +149,7 @@ def _fitted(
     if not np.all(norm > 0):
         return None
     left, size, right = np.linalg.svd(scaled / norm, full_matrices=False)
-    if size[-1] < METHOD.formula_singular_share * size[0]:
+    if size[-1] < NUMERICS.formula_singular_share * size[0]:
         return None
     coefficients = right.T @ (left.T @ (y[known] / error[known]) / size) / norm
     chi2 = float((((fitted @ coefficients - y[known]) / error[known]) ** 2).sum())
@@ -206,7 +207,7 @@ def _forms(axis: str, points: Floats, ends: Floats, known: NDArray[np.bool_]) ->
         yield _step(axis, float(ends[place]), kinds * max(len(inner) - 1, 1))
     if periodic:
         # More than half as many waves as bins cannot be told from fewer.
-        most = min(METHOD.formula_max_frequencies, (int(known.sum()) - 1) // 2)
+        most = min(NUMERICS.formula_max_frequencies, (int(known.sum()) - 1) // 2)
         for times in range(1, most + 1):
             yield _sine(axis, times, kinds * most, offset=False)
             yield _sine(axis, times, kinds * most, offset=True)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS, SCATTER
 from torchweather.gap.inference.simulated_distribution import FrameModel, Observation, SimulatedDistribution
 from torchweather.gap.statistics.frame_statistics import PARTICLE_AXIS, TINY, Layout, Pool
 
@@ -66,8 +66,8 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
         each = pool.vectors(np.arange(number)[:, None])
         # Departures from the mean of the others are larger than those from the mean of all.
         less = (number - 1) / number
-        portioned = Pool(layout, model.clear(scene, METHOD.portions))
-        noise = less**2 * (portioned.element_noise(METHOD.portions, 1, number) ** 2).sum(1).mean(0)
+        portioned = Pool(layout, model.clear(scene, NUMERICS.portions))
+        noise = less**2 * (portioned.element_noise(NUMERICS.portions, 1, number) ** 2).sum(1).mean(0)
         apart = np.where(moved, each - each.mean(0), 0.0) * less
         for name, (values, variance) in pool.averages(noise).items():
             even = (values - values.mean()) * less
@@ -86,8 +86,8 @@ def frame_departures(model: FrameModel, measured: Sequence[Observation]) -> list
     widening = math.sqrt(widened(degrees_of_freedom))
     one_frame = [FrameDeparture(widening * np.sqrt(share) * residual) for residual in residuals if share.any()]
     # A few frames do not tell how an even shift of all entries looks: it is known.
-    few = degrees_of_freedom < METHOD.few_degrees
-    well_may_be = METHOD.well_may_be_sd * math.sqrt(2.0 / degrees_of_freedom) if few else 0.0
+    few = degrees_of_freedom < SCATTER.few_degrees
+    well_may_be = SCATTER.well_may_be_sd * math.sqrt(2.0 / degrees_of_freedom) if few else 0.0
     for name, excess in evenly.items():
         # Two frames that are alike by chance, to the noise of their elements, make no steady sensor.
         variance = max(excess, well_may_be * noises[name])
@@ -148,7 +148,7 @@ def model_errors(
     each = {
         place: np.where(
             averages,
-            METHOD.weather_mean_rel_error * (base.mean[target.condition.id] - clear[target.condition.scene]),
+            SCATTER.weather_mean_rel_error * (base.mean[target.condition.id] - clear[target.condition.scene]),
             0.0,
         )
         for place, target in enumerate(measured)
@@ -164,6 +164,5 @@ def widened(degrees_of_freedom: int) -> float:
         >>> round(widened(14), 2), round(widened(2), 1)
         (1.9, 660.5)
     """
-    return float(
-        (stats.t.isf(0.5 * METHOD.frame_noise_p, degrees_of_freedom) / stats.norm.isf(0.5 * METHOD.frame_noise_p)) ** 2
-    )
+    tail = 0.5 * SCATTER.frame_noise_p
+    return float((stats.t.isf(tail, degrees_of_freedom) / stats.norm.isf(tail)) ** 2)

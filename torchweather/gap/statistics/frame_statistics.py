@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.config import METHOD
+from torchweather.gap.inference.config import NUMERICS, SCATTER
 from torchweather.gap.statistics.counting import ANSCOMBE
 
 __all__ = [
@@ -266,10 +266,10 @@ class Pool:
             means = [values[:, part].mean(0) for values in parts]
             here = [number * mean for mean in means]
             moved = [
-                total + METHOD.linear_step * (values[:, part] - mean)
+                total + NUMERICS.linear_step * (values[:, part] - mean)
                 for total, values, mean in zip(here, parts, means, strict=True)
             ]
-            found[:, part] = (_entry(group.kind, *moved) - _entry(group.kind, *here)) / METHOD.linear_step
+            found[:, part] = (_entry(group.kind, *moved) - _entry(group.kind, *here)) / NUMERICS.linear_step
         return found
 
     def element_noise(self, portions: int, number: int, clear_frames: int) -> Floats:
@@ -302,9 +302,10 @@ class Pool:
             start += group.bins
             here = [total[part] for total in totals]
             moved = [
-                total[part] + METHOD.linear_step * noise[..., part] for total, noise in zip(totals, noises, strict=True)
+                total[part] + NUMERICS.linear_step * noise[..., part]
+                for total, noise in zip(totals, noises, strict=True)
             ]
-            found[..., part] = (_entry(group.kind, *moved) - _entry(group.kind, *here)) / METHOD.linear_step
+            found[..., part] = (_entry(group.kind, *moved) - _entry(group.kind, *here)) / NUMERICS.linear_step
         return found
 
     def independent_scatter(self, number: int) -> Floats:
@@ -355,7 +356,7 @@ class Pool:
             if group.kind == "persistence":
                 pattern = self.frames.maps[:, self.layout.maps.index(group.statistic)].mean(0)
                 # Particles that all lie in the ring beside: at most so much of the root of the summed squares.
-                share = math.hypot(METHOD.persistence_rel_error, misplaced)
+                share = math.hypot(SCATTER.persistence_rel_error, misplaced)
                 known = share * float(np.sqrt((pattern**2).sum()))
                 found.append(np.full(group.bins, known))
             elif group.kind == "slope":
@@ -369,7 +370,7 @@ class Pool:
                 start += group.bins
                 known_to = group.known_to / np.sqrt(np.maximum(weight[part] / number, 1.0))
                 if group.kind == "spread":
-                    known_to = np.hypot(known_to, METHOD.log_spread_error)
+                    known_to = np.hypot(known_to, SCATTER.log_spread_error)
                 if group.axis == PARTICLE_AXIS and misplaced > 0:
                     known_to = np.hypot(known_to, _known_to(group.kind, weight[part], value[part], misplaced))
                 found.append(known_to)
@@ -418,7 +419,7 @@ class Pool:
         seen, all_of_them = self.frames.weight.mean(0), clear.frames.weight.mean(0)
         selected = self.layout.each(lambda group: group.is_average_of(group.statistic))[: self.layout.bins]
         selected &= self.layout.each(lambda group: group.statistic in self.layout.of_seen)[: self.layout.bins]
-        found[: self.layout.bins] = ~selected | (seen >= METHOD.mostly_seen_share * all_of_them)
+        found[: self.layout.bins] = ~selected | (seen >= SCATTER.mostly_seen_share * all_of_them)
         return found
 
 
@@ -433,7 +434,7 @@ def _known_to(kind: str, weight: Floats, value: Floats, misplaced: float) -> Flo
         inside = (value + ANSCOMBE) / (weight + 2.0 * ANSCOMBE)
         found = np.abs(np.arcsin(np.sqrt(np.clip(inside - share, 0.0, 1.0))) - np.arcsin(np.sqrt(inside)))
     elif kind == "spread":
-        found = np.hypot(share, METHOD.log_read_spread_error)
+        found = np.hypot(share, SCATTER.log_read_spread_error)
     else:
         found = share
     return found
