@@ -309,7 +309,7 @@ def _nuisance(result: GapResult) -> dict[str, Any]:
 
 def _weights(candidates: Sequence[Candidate], result: GapResult) -> list[float]:
     """Weight of each candidate of a round after its misfit, in units of the noise that is left."""
-    misfits = np.array([one.fit.misfit for one in candidates])
+    misfits = np.array([one.misfit for one in candidates])
     unit = max(1.0, float(misfits.min()) / max(float(result.global_test.misfit_null.mean()), 1.0))
     weight = np.exp(-0.5 * (misfits - misfits.min()) / unit)
     return [float(one) for one in weight / weight.sum()]

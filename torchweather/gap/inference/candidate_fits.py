@@ -52,12 +52,19 @@ class Candidate:
         fit: with it and what was found before.
         gain: by which it lowers the misfit.
         held: departure of the held-out conditions with it, where it was looked at.
+        with_forms: misfit where the forms of the other effects may be in error; ``None`` where there are no others.
     """
 
     id: str
     fit: Fit
     gain: float
     held: HeldOut | None = None
+    with_forms: float | None = None
+
+    @property
+    def misfit(self) -> float:
+        """By which it is compared with its rivals."""
+        return self.fit.misfit if self.with_forms is None else self.with_forms
 
 
 def best_templates(

@@ -1,5 +1,5 @@
-"""Numbers of the method that finds missing effects: what decides a verdict, what the scatter of a statistic is known
-to, how much is simulated."""
+"""Numbers of the method that finds missing effects: thresholds of a verdict, limits of what a scatter is known to, sizes
+of samples and steps of searches."""
 
 from __future__ import annotations
 
@@ -27,15 +27,11 @@ class InferenceConfig:
 
     # ---- Does an effect earn its place? ----
     parameter_penalty: float = 5.0  # chi-square that one more parameter must gain: 97 % of one degree of freedom
-    # Of what is explained where an added effect acts, that it must add (``model_error.py``); and of the residual
-    # misfit, unless it adds so much of all that is explained: what another form of the first effect leaves is patched
-    # by many.
-    added_share: float = 0.03
-    added_share_sure: float = 0.1
-    residual_explained_share: float = 0.6
-    # Of what an added effect gains, that must lie where those found do nothing: of one that patches another form of the
-    # first effect, little does.
-    fresh_share: float = 0.25
+    # Standard deviation of the error of an effect's form, over what it does: of a condition, and of a statistic along
+    # an axis; and of an entry by itself (``form_error.py``). With both, false second names beside effects of another
+    # form gained at most 4 on development studies where noise gains 20, true ones 25 to 430.
+    form_share: float = 0.2
+    form_entry_share: float = 0.1
     # By which an added effect must lower the misfit of held-out conditions, two standard deviations, however much it
     # explains elsewhere; an alarm is beyond noise already: they must not speak against its effect. One that explains
     # more than ``sure_gain`` they may, by so much of the remainder: where they hardly show it.
@@ -60,8 +56,8 @@ class InferenceConfig:
 
 @dataclass(frozen=True)
 class ScatterConfig:
-    """What the scatter of a statistic, and the model of a sensor, are known to. They widen what noise is said to make;
-    none of them is an answer."""
+    """Limits to which the scatter of a statistic, and the model of a sensor, are known. They widen what noise is said to
+    make; none of them is an answer."""
 
     # ---- Counts ----
     jeffreys_events: float = 0.5  # events that a prior of a rate stands for (Jeffreys 1946)
@@ -104,12 +100,11 @@ class ScatterConfig:
     persistence_rel_error: float = 0.01  # of a persistent pattern of dense weather
     unmodelled_share: float = 0.5  # scatter of a statistic that no parameter gives, over its change by the effect
     nuisance_bound_sd: float = 4.0  # standard deviations by which a nuisance may move
-    sensitive_rms: float = 1.0  # change of a statistic, in its scatter, from which it counts as sensitive
 
 
 @dataclass(frozen=True)
 class NumericalConfig:
-    """How much is simulated and drawn, and the steps of searches: they set the cost and the accuracy of an answer."""
+    """Sizes of samples and steps of searches: they set the cost and the accuracy of an answer."""
 
     # ---- Global test ----
     null_draws: int = 1000  # draws of the null distribution of the largest delta chi-square
@@ -140,6 +135,8 @@ class NumericalConfig:
     far_sd: float = 2.0
     profile_rounds: int = 2  # of such a fit of the nuisances;
     profiled_beside: int = 2  # of how many effects, the ones with the largest gains
+    form_orders: int = 4  # polynomials of the error of a form, as many as an axis has bins at most
+    form_least_square: float = 1e-3  # of a column of it, below which it is noise of a simulated mean
     valley_steps: int = 5  # by which a valley is followed to stronger effects,
     valley_factor: float = 1.4  # and what each multiplies by
 

@@ -13,8 +13,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,20 +36,13 @@ from torchweather.gap.inference.candidate_fits import (
 from torchweather.gap.inference.clear_air import ClearAir, clear_air
 from torchweather.gap.inference.config import METHOD, NUMERICS
 from torchweather.gap.inference.effect_forms import effect_class
+from torchweather.gap.inference.form_error import beside_form_errors
 from torchweather.gap.inference.global_test import GlobalTest, counted_entries, located_templates, run_global_test
 from torchweather.gap.inference.held_out import HeldOut, excess_left, held_out
-from torchweather.gap.inference.insensitive_statistics import (
-    fresh_delta_chi2,
-    gained_elsewhere,
-    insensitive_statistics,
-    shown_elsewhere,
-)
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
-from torchweather.gap.inference.model_error import explained_beside, response_of
 from torchweather.gap.inference.residual_tests import ResidualTest
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
-from torchweather.gap.inference.simulated_distribution import FrameModel, observations
-from torchweather.stages.catalogue import EFFECTS
+from torchweather.gap.inference.simulated_distribution import FrameModel, SimulatedDistribution, observations
 
 __all__ = ["GapResult", "find_gap_with"]
 
@@ -210,18 +202,14 @@ def _rounds(
         profiled = min((held.profile(start) for start in starts), key=lambda fit: fit.misfit)
         after = held_out(held, profiled, search.seed)
         rounds[-1][0] = best = replace(best, held=after)
-        explained = global_test.misfit - best.fit.misfit
-        left = best.fit.nuisance.left(best.fit.residual)
-        excess = METHOD.residual_explained_share * global_test.residual_test.excess(left)
-        significant = global_test.residual_test.p_value(left) < METHOD.residual_p
-        least = max(threshold, min(METHOD.added_share_sure * explained, excess if significant else 0.0))
         earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
         if earlier_held is not None and earlier_held.misfit - after.misfit < METHOD.held_gain:
             return rounds[:-1]
         if len(values) == NUMERICS.max_effects or search.exhausted:
             return rounds
         remaining = _remaining_templates(search, global_test, best)
-        sure = max(threshold, excess) if significant else math.inf
+        wide = beside_form_errors(search, best.fit, values)
+        seen = _seen_from(search, remaining, best.fit.base, wide.base)
         pairs: list[Proposal] = []
         if len(rounds) == 1 and not _leaves_noise(global_test, best.fit):
             # While the responses around the base still say something: pairs of any two.
@@ -229,16 +217,16 @@ def _rounds(
             if templates:
                 # Responses are compared with responses: a single that was fitted may have bent a nuisance to its end.
                 pairs = pairs_from_rest(search, base, best.fit, templates, threshold)
-        fresh, proposed = _on_top(search, remaining, best, least, threshold, sure)
+        proposed = _best_on_top(best, seen, wide) if _promises(seen, wide, threshold) else []
         if remaining and stands_far(best.fit.point):
             hidden = from_rest(search, best.fit, remaining)[: NUMERICS.rest_refitted]
             pairs += [(best.fit.point, template, size) for template, size, gain in hidden if gain >= threshold]
         if pairs:
-            proposed = [*(proposed or _best_on_top(best, remaining)), *pairs]
+            proposed = [*(proposed or _best_on_top(best, seen, wide)), *pairs]
         if not proposed:
             return rounds
-        more = _fitted_on_top(search, base, best, remaining, proposed, threshold, progress)
-        kept = _that_earn(search, best, more, fresh, least, sure, max(least, excess) if significant else least)
+        more = _fitted_on_top(search, base, best, wide, seen, proposed, threshold, progress)
+        kept = _that_earn(search, best, wide, more, threshold)
         if not kept:
             return rounds
         needful = _without_idle(search, kept[0], threshold)
@@ -253,44 +241,41 @@ def _rounds(
 
 
 def _that_earn(
-    search: SimulatorLikelihood,
-    best: Candidate,
-    added: Sequence[Candidate],
-    fresh: Mapping[str, float],
-    least: float,
-    sure: float,
-    beside_confused: float,
+    search: SimulatorLikelihood, best: Candidate, wide: Fit, added: Sequence[Candidate], threshold: float
 ) -> list[Candidate]:
     """Fits with one effect more that earn its place, best first; none that lies far behind one that does.
+
+    An effect must gain more than noise does, also where the forms of the others are in error: another form of the first
+    effect than its stage's is patched a little by many. And over the others fitted again from where they stand beside
+    it: a first effect that was not at its best yet is no merit of the second.
 
     Args:
         search: its simulator.
         best: what was found so far.
-        added: fits, best first.
-        fresh: what those must gain that need not compare with the first (``_on_top``).
-        least: what the others must gain, beside a share of what was explained where they act,
-        sure: or this, most of a residual that is no noise.
-        beside_confused: what an effect must gain that is confused with one of those found: another form of an effect
-            than the stage's looks like that, also beside it.
+        wide: its fit, with the errors of the form of its effects.
+        added: fits.
+        threshold: gain that noise seldom reaches.
     """
     kept: list[Candidate] = []
     for one in added:
-        # What lies far behind one that earned its place is no rival of it.
-        if kept and one.fit.misfit > kept[0].fit.misfit + NUMERICS.rival_chi2:
-            break
-        own = fresh.get(one.id, math.inf)
-        if own < sure and gained_elsewhere(search, best.fit, one.fit) < METHOD.fresh_share * one.gain:
-            own = sure  # fitted, it does something else than show where those found do nothing
-        confused = any(_confusable(one.id, name) for name in best.fit.point.values)
-        if _earns(search, best, one, own, beside_confused if confused else least):
-            kept.append(one)
-    return kept
+        if one.gain < threshold:
+            continue
+        others = [name for name in one.fit.point.values if name != one.id]
+        misfit = beside_form_errors(search, one.fit, others).misfit
+        if wide.misfit - misfit < threshold:
+            continue
+        alone = search.fit(one.fit.point.without(one.id), one.fit.nuisance, one.fit.base)
+        if alone.misfit - one.fit.misfit >= threshold * min(alone.misfit / best.fit.misfit, 1.0):
+            kept.append(replace(one, with_forms=misfit))
+    kept.sort(key=lambda one: one.misfit)
+    return [one for one in kept if one.misfit <= kept[0].misfit + NUMERICS.rival_chi2]
 
 
 def _fitted_on_top(
     search: SimulatorLikelihood,
     base: Fit,
     best: Candidate,
+    wide: Fit,
     remaining: Sequence[ResponseTemplate],
     proposed: Sequence[Proposal],
     threshold: float,
@@ -298,7 +283,7 @@ def _fitted_on_top(
 ) -> list[Candidate]:
     """Fits of what is proposed, best first. Where none gains what the responses promised, others that promise half of
     what was gained are fitted as well: a response that no longer holds there must not keep them out."""
-    nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
+    nuisance, left = wide.nuisance, wide.nuisance.left(wide.residual)
     found = fitted(search, base, proposed, best.fit.misfit, progress)
     promised = float(delta_chi2(remaining, left[None], nuisance)[0].max()) if remaining else 0.0
     for _ in range(NUMERICS.added_refitted):
@@ -337,59 +322,23 @@ def _leaves_noise(global_test: GlobalTest, fit: Fit) -> bool:
     return global_test.residual_test.p_value(fit.nuisance.left(fit.residual)) >= METHOD.residual_p
 
 
-def _earns(search: SimulatorLikelihood, best: Candidate, added: Candidate, fresh: float, least: float) -> bool:
-    """True where an added effect gains what it needs: ``fresh``, or ``least`` and a share of what was explained where
-    it acts.
-
-    Also over the others fitted again from where they stand beside it: a first effect that was not at its best yet is no
-    merit of the second.
-    """
-    fit = added.fit
-    beside = float(explained_beside(search, best.fit, response_of(search, fit, added.id)[None])[0])
-    needed = min(fresh, max(least, METHOD.added_share * beside))
-    if added.gain < needed:
-        return False
-    alone = search.fit(fit.point.without(added.id), fit.nuisance, fit.base)
-    # What is needed is a share of what the others leave: of less, where they leave less once they are fitted again.
-    return alone.misfit - fit.misfit >= needed * min(alone.misfit / best.fit.misfit, 1.0)
+def _promises(templates: Sequence[ResponseTemplate], wide: Fit, threshold: float) -> bool:
+    """True where a response explains more than noise does of what is left beside the errors of forms."""
+    left = wide.nuisance.left(wide.residual)
+    return bool(templates) and float(delta_chi2(templates, left[None], wide.nuisance).max()) >= threshold
 
 
-def _on_top(
+def _seen_from(
     search: SimulatorLikelihood,
-    remaining: Sequence[ResponseTemplate],
-    best: Candidate,
-    least: float,
-    sure: float,
-    most: float,
-) -> tuple[dict[str, float], list[Proposal]]:
-    """Effects that may be fitted on top of one; nothing where no response promises as much as it needs.
-
-    Args:
-        search: its simulator.
-        remaining: responses to the effects that were not found yet.
-        best: what was found so far.
-        least: gain that an added effect must promise, and a share of what was explained where it acts,
-        sure: or this, if it shows where those found do nothing,
-        most: or this, most of a residual that is no noise.
-
-    Returns:
-        The effects that need not compare with the first, with what they need: they show where those found do nothing,
-        or explain what is left. And what is to be fitted.
-    """
-    if not remaining:
-        return {}, []
-    nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
-    gain = delta_chi2(remaining, left[None], nuisance)[0]
-    elsewhere = fresh_delta_chi2(remaining, left, nuisance, insensitive_statistics(search, best.fit))
-    fresh = {template.id: most for template, value in zip(remaining, gain, strict=True) if value > most}
-    fresh |= dict.fromkeys(shown_elsewhere(remaining, gain, elsewhere, sure), sure)
-    # Another form of an effect than the stage's looks like what it is confused with.
-    found = best.fit.point.values
-    fresh = {name: value for name, value in fresh.items() if not any(_confusable(name, one) for one in found)}
-    beside = explained_beside(search, best.fit, np.stack([template.response for template in remaining]))
-    if not fresh and (gain < np.maximum(least, METHOD.added_share * beside)).all():
-        return fresh, []
-    return fresh, _best_on_top(best, remaining, fresh.keys())
+    templates: Sequence[ResponseTemplate],
+    old: SimulatedDistribution,
+    new: SimulatedDistribution,
+) -> list[ResponseTemplate]:
+    """Responses in units of one scatter, in those of another."""
+    if not templates:
+        return []
+    found = search.rewhitened(np.stack([template.response for template in templates]), old, new)
+    return [replace(template, response=response) for template, response in zip(templates, found, strict=True)]
 
 
 def _beside(search: SimulatorLikelihood, global_test: GlobalTest) -> list[ResponseTemplate]:
@@ -413,17 +362,13 @@ def _remaining_templates(
     return found
 
 
-def _best_on_top(
-    best: Candidate, remaining: Sequence[ResponseTemplate], fresh: AbstractSet[str] = frozenset()
-) -> list[Proposal]:
-    """The best templates on top of an effect, and the best one of some effects."""
-    nuisance, left = best.fit.nuisance, best.fit.nuisance.left(best.fit.residual)
-    added = best_templates(remaining, left, nuisance)[: NUMERICS.added_refitted] if remaining else []
-    own = [template for template in remaining if template.id in fresh]
-    added += best_templates(own, left, nuisance)[:1] if own else []
-    return list(
-        {template.id: (best.fit.point, template, amplitude) for template, amplitude in reversed(added)}.values()
-    )
+def _best_on_top(best: Candidate, remaining: Sequence[ResponseTemplate], wide: Fit) -> list[Proposal]:
+    """The best templates on top of an effect, as they are seen beside the errors of its form."""
+    if not remaining:
+        return []
+    left = wide.nuisance.left(wide.residual)
+    added = best_templates(remaining, left, wide.nuisance)[: NUMERICS.added_refitted]
+    return [(best.fit.point, template, amplitude) for template, amplitude in added]
 
 
 def _not_simulated(search: SimulatorLikelihood, fit: Fit) -> NDArray[np.bool_]:
@@ -478,8 +423,3 @@ def _share_left(test: ResidualTest, left: Floats, explained: float) -> float:
         return 0.0
     beyond = test.beyond_chance(left)
     return beyond / max(beyond + explained, 1e-9)
-
-
-def _confusable(name: str, other: str) -> bool:
-    """Check whether the catalogue calls either of two effects confusable with the other."""
-    return other in EFFECTS[name].confusable_with or name in EFFECTS[other].confusable_with

@@ -296,9 +296,7 @@ class SimulatorLikelihood:
         whitened = new.whitening(np.where(used, scaled * (old_sd / new_sd), 0.0))
         return self._parted(new, whitened, -0.5).reshape(vectors.shape)
 
-    def _nuisance_at(
-        self, nuisance: Systematics, old: SimulatedDistribution, new: SimulatedDistribution
-    ) -> Systematics:
+    def nuisance_at(self, nuisance: Systematics, old: SimulatedDistribution, new: SimulatedDistribution) -> Systematics:
         """Nuisances in units of another scatter."""
         response = self.rewhitened(nuisance.response.T, old, new).T
         return Systematics(response, nuisance.offset, nuisance.moving, nuisance.precision)
@@ -434,7 +432,7 @@ class SimulatorLikelihood:
             for target in self.measured:
                 self.model.render_near(target.condition, point.log_intensity.get(target.condition.id, 0.0))
         final = self.at(point)
-        residual, nuisance = self.residual(final), self._nuisance_at(nuisance, base, final)
+        residual, nuisance = self.residual(final), self.nuisance_at(nuisance, base, final)
         misfit = self.misfit(residual, nuisance) + self._wider(final)
         return Fit(point, final, residual, nuisance, misfit, np.zeros((0, 0)), ())
 
@@ -612,7 +610,7 @@ class SimulatorLikelihood:
         """Value of a fit that ends at a point, with the scatter there; ``nuisance`` is in units of ``base``."""
         final = self.at(point)
         residual = self.residual(final)
-        here = self._nuisance_at(nuisance.moved(self.offset(point)), base, final)
+        here = self.nuisance_at(nuisance.moved(self.offset(point)), base, final)
         misfit = self.misfit(residual, here) + self._wider(final)
         misfit += sum(complexity_penalty(self.model, name) for name in point.values)
         return Fit(point, final, residual, here, misfit, covariance, tuple(names))

@@ -18,6 +18,8 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.gap_report import GapReport
 from torchweather.gap.inference.effect_forms import is_another, tried_values
+from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.sensors.radar.fading import FADING_SPREAD_DB, chance_of_fading, shares_by_class
 from torchweather.gap.sensors.radar.forms import MOST_STRUCK, multipath_form, wet_rcs_form
 from torchweather.gap.sensors.radar.frames import GHOST_STEP, RadarFrames
@@ -746,3 +748,30 @@ def test_second_paths_are_tried_in_each_octave_of_their_delay() -> None:
         assert one == pytest.approx(math.sqrt(GHOST_DELAY_M[octave - 1] * GHOST_DELAY_M[octave]), rel=0.03)
     assert tried[0] < 1.6
     assert tried[-1] > 12.8
+
+
+def test_a_path_loss_is_named_beside_another_effect() -> None:
+    """A record that is off is a nuisance, with its stated error: what goes far beyond that is none."""
+    hidden = [EFFECTS["radar.path_loss_scale"](factor=3.0), EFFECTS["radar.doppler_spread"](std_m_per_s=0.5)]
+    report = find_gap(tiny_radar_study(hidden), effects=[one.id for one in hidden])
+    assert report.verdict == "named"
+    found = {one.id: one for one in report.effects}
+    assert set(found) == {one.id for one in hidden}
+    assert float(found["radar.path_loss_scale"].factor) == pytest.approx(3.0, rel=0.1)
+
+
+def test_the_number_of_ghosts_is_known_to_half_of_it(model: RadarFrames) -> None:
+    """As few targets have one above the threshold, in every frame; other numbers are known as ever."""
+    search = SimulatorLikelihood(model, observations(model, model.fit), 0)
+    effect = model.forms["radar.multipath"]
+    values = {"amplitude": 0.4, "delay_m": 6.0}
+    base = search.at(ParameterPoint({effect.id: values}))
+    model.forms["radar.multipath"] = type("Exact", (effect,), {"unmodelled": ()})
+    exact = search.at(ParameterPoint({effect.id: values}))
+    model.forms["radar.multipath"] = effect
+    ghosts = model.layout.each(lambda group: group.statistic in ("ghost_count", "clutter_count"))
+    for name, sd in base.sd.items():
+        change = base.mean[name] - search.start.mean[name]
+        np.testing.assert_allclose(sd, np.hypot(exact.sd[name], 0.5 * np.where(ghosts, change, 0.0)), rtol=1e-9)
+    moved = np.concatenate([(base.mean[name] - search.start.mean[name])[ghosts] for name in base.mean])
+    assert np.abs(moved).max() > 1.0

@@ -90,7 +90,7 @@ class RadarFrames:
         )
         self.clear_frames = {name: len(scene.clear) for name, scene in study.scenes.items()}
         self.catalogue = searched_effects("radar", named)
-        self.as_record: AbstractSet[str] = {"radar.path_loss_scale"}
+        self.as_record: AbstractSet[str] = frozenset()
         self.scenes: dict[str, RadarScene] = {name: radar_scene(scene, sensor) for name, scene in study.scenes.items()}
         floor_db = float(np.mean([scene.clear.floor_db.mean() for scene in self.scenes.values()]))
         self.sensor = replace(sensor, noise_floor_db=floor_db)
