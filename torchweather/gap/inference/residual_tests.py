@@ -130,12 +130,9 @@ class ResidualTest:
         )
         return float(min(1.0, some.sum() * each.min()))
 
-    def excess(self, left: Floats) -> float:
-        """Sum of the excess of groups over what noise leaves."""
-        return float(np.maximum(self.squares(left) - self._summed((self.noise * self.used).sum(0)), 0.0).sum())
-
     def beyond_chance(self, left: Floats) -> float:
-        """The same, less what chance makes of such a sum: groups that lie below what noise leaves count as 0.
+        """Sum of what the squares of groups exceed noise by, less what chance makes of it: groups that lie below what
+        noise leaves count as 0.
 
         A normal number of variance v is above its mean by ``sqrt(v / (2 pi))`` on average, counted so.
         """
