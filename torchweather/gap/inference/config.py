@@ -1,5 +1,5 @@
-"""Numbers of the method that finds missing effects: thresholds of a verdict, limits of what a scatter is known to, sizes
-of samples and steps of searches."""
+"""Numbers of the method that finds missing effects: thresholds of a verdict, limits of what a scatter is known to,
+sizes of samples and steps of searches."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ class InferenceConfig:
 
 @dataclass(frozen=True)
 class ScatterConfig:
-    """Limits to which the scatter of a statistic, and the model of a sensor, are known. They widen what noise is said to
-    make; none of them is an answer."""
+    """Limits to which the scatter of a statistic, and the model of a sensor, are known. They widen what noise is said
+    to make; none of them is an answer."""
 
     # ---- Counts ----
     jeffreys_events: float = 0.5  # events that a prior of a rate stands for (Jeffreys 1946)
