@@ -122,16 +122,17 @@ def test_a_count_that_is_not_zero_never_shows_as_nothing(hits: int, of: int, tex
     assert _share({"hits": hits, "of": of, "share": hits / of}) == f"{hits} of {of} ({text})"
 
 
-def test_the_camera_s_score_follows_from_the_truths_and_answers_that_are_kept() -> None:
-    committed = read_json(SCORES / "camera" / "score.json")
-    folders = [SCORES / "camera" / one["set"] for one in committed["sets"]]
+@pytest.mark.parametrize("sensor", ["camera", "radar"])
+def test_a_score_follows_from_the_truths_and_answers_that_are_kept(sensor: str) -> None:
+    committed = read_json(SCORES / sensor / "score.json")
+    folders = [SCORES / sensor / one["set"] for one in committed["sets"]]
     truths = {case: truth for folder in folders for case, truth in truth_of(folder).items()}
     answers, known = (
         [line for folder in folders for line in read_lines(folder / name)] for name in ("answers.jsonl", "known.jsonl")
     )
-    found = plain(score(truths, answers, known, bench_sensor("camera").floors))
+    found = plain(score(truths, answers, known, bench_sensor(sensor).floors))
     assert found["table"] == committed["table"]
-    assert found["cases"] == read_json(SCORES / "camera" / "cases.json")
+    assert found["cases"] == read_json(SCORES / sensor / "cases.json")
     assert all(one["sealed"] in {seal["truth_sha256"] for seal in committed["sets"]} for one in answers)
 
 
