@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.gap.linear_simulator import BINS, DIRECTIONS, LinearSimulator, effect
+from torchweather.gap.inference import form_error
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.form_error import beside_form_errors, form_columns
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
@@ -45,8 +46,13 @@ def left(search: SimulatorLikelihood) -> tuple[float, float]:
     return fit.misfit, beside_form_errors(search, fit, [WINDOW]).misfit
 
 
-def test_another_form_of_the_effect_is_explained_and_what_acts_elsewhere_is_not() -> None:
-    """A tilt of 30 % along the axis, and the same squares where the window does nothing."""
+@pytest.mark.parametrize("entry_share", [0.0, METHOD.form_entry_share])
+def test_another_form_of_the_effect_is_explained_and_what_acts_elsewhere_is_not(
+    monkeypatch: pytest.MonkeyPatch, entry_share: float
+) -> None:
+    """A tilt of 30 % along the axis, and the same squares where the window does nothing; a tilt needs no error of each
+    entry by itself."""
+    monkeypatch.setattr(form_error, "METHOD", replace(METHOD, form_entry_share=entry_share))
     own = change()
     tilt = np.tile(np.linspace(-0.3, 0.3, BINS), len(own) // BINS) * own
     elsewhere = np.zeros_like(own)
