@@ -20,6 +20,7 @@ from torchweather.camera.effects.optics import CameraDefocus
 from torchweather.camera.effects.sensor import CameraExposureGain
 from torchweather.core.errors import TorchweatherError
 from torchweather.gap.gap_report import _at_bound, _standard_error, gap_report, read_model, write_model
+from torchweather.gap.inference.candidate_fits import Candidate
 from torchweather.gap.inference.clear_air import ClearAir
 from torchweather.gap.inference.empirical_fit import Departures
 from torchweather.gap.inference.held_out import HeldOut
@@ -243,8 +244,8 @@ def fitted(**values: Any) -> dict[str, Any]:
     )
     rival = ParameterPoint({"lidar.range_noise": {"std_m": 0.1}, "lidar.threshold_shift": {"shift_db": 1.0}})
     other = SimpleNamespace(point=rival, base=base(), misfit=61.0, names=())
-    best = SimpleNamespace(id="lidar.window_loss", fit=fit, gain=100.0)
-    second = SimpleNamespace(id="lidar.threshold_shift", fit=other, gain=99.0)
+    best = Candidate("lidar.window_loss", fit, 100.0)
+    second = Candidate("lidar.threshold_shift", other, 99.0)
     return {"fit": fit, "rounds": ((best, second),), **values}
 
 
@@ -273,7 +274,7 @@ def test_an_effect_that_was_found_in_a_pair_has_the_confidence_of_that_round(ver
     pair = ParameterPoint({"lidar.range_noise": {"std_m": 0.1}, "lidar.blind_zone": {"range_m": 2.0}})
     names = (("lidar.range_noise", "std_m"), ("lidar.blind_zone", "range_m"))
     fit = SimpleNamespace(point=pair, base=base(), misfit=50.0, covariance=np.eye(2) * 1e-4, names=names)
-    best = SimpleNamespace(id="lidar.blind_zone", fit=fit, gain=150.0)
+    best = Candidate("lidar.blind_zone", fit, 150.0)
     report = gap_report(result(verdict, ripple(0.01), fit=fit, rounds=(*first, (best,))), "ab" * 32, 3)
     assert [one["name"] for one in report.to_dict()["effects"]] == ["lidar.range_noise", "lidar.blind_zone"]
     assert [one["confidence"] for one in report.to_dict()["effects"]] == [right, right]
@@ -400,7 +401,7 @@ def test_a_value_on_its_bound_lowers_the_confidence_of_its_partner() -> None:
     pair = ParameterPoint({"lidar.window_loss": {"loss_db": 30.0}, "lidar.blind_zone": {"range_m": 2.0}})
     names = (("lidar.window_loss", "loss_db"), ("lidar.blind_zone", "range_m"))
     fit = SimpleNamespace(point=pair, base=base(), misfit=50.0, covariance=np.eye(2) * 1e-4, names=names)
-    best = SimpleNamespace(id="lidar.blind_zone", fit=fit, gain=150.0)
+    best = Candidate("lidar.blind_zone", fit, 150.0)
     given = result("named", ripple(0.01), fit=fit, rounds=((best,),))
     loss, zone = gap_report(given, "ab" * 32, 3).to_dict()["effects"]
     assert (loss["at_bound"], zone["at_bound"]) == ({"loss_db": "highest"}, {})
@@ -412,7 +413,7 @@ def test_candidates_of_later_rounds_are_listed_with_what_they_stand_beside() -> 
     first = fitted()["rounds"]
     pair = ParameterPoint({"lidar.window_loss": {"loss_db": 1.5}, "lidar.blind_zone": {"range_m": 2.0}})
     fit = SimpleNamespace(point=pair, base=base(), misfit=50.0, covariance=np.eye(2) * 1e-4, names=())
-    second = SimpleNamespace(id="lidar.blind_zone", fit=fit, gain=150.0)
+    second = Candidate("lidar.blind_zone", fit, 150.0)
     given = result("named", ripple(0.01), **{**fitted(), "rounds": (*first, (second,))})
     (added,) = gap_report(given, "ab" * 32, 3).to_dict()["added"]
     assert added["beside"] == ["lidar.window_loss"]

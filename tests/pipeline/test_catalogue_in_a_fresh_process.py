@@ -103,7 +103,7 @@ def test_a_chain_is_read_from_its_file(tmp_path: Path, fresh: Fresh) -> None:
             len(EFFECTS),
             marks=pytest.mark.long,
         ),
-        ("from torchweather.gap.inference.forward_selection import EFFECTS as e; print(len(e))", len(EFFECTS)),
+        ("from torchweather.gap.inference.effect_forms import EFFECTS as e; print(len(e))", len(EFFECTS)),
         ("from torchweather.stages import EFFECTS as e; print(len(e))", len(EFFECTS)),
         ("from torchweather.stages import STAGES as s; print(len(s))", None),
     ],
