@@ -176,7 +176,7 @@ MUTANTS = (
     ),
     Mutant(
         "forms_taken_as_exact",
-        "an added effect is held against the errors of the form of those found",
+        "an added effect must explain more than errors of the form of those found",
         "torchweather.gap.inference.form_error",
         "with_forms = _with(nuisance, columns)",
         "with_forms = nuisance",

@@ -28,8 +28,9 @@ class InferenceConfig:
     # ---- Does an effect earn its place? ----
     parameter_penalty: float = 5.0  # chi-square that one more parameter must gain: 97 % of one degree of freedom
     # Standard deviation of the error of an effect's form, over what it does: of a condition, and of a statistic along
-    # an axis; and of an entry by itself (``form_error.py``). With both, false second names beside effects of another
-    # form gained at most 4 on development studies where noise gains 20, true ones 25 to 430.
+    # an axis; and of an entry by itself (``form_error.py``). On development studies noise gains 20. With both, false
+    # second names gained 4 at most beside wet surfaces of another law, 22 and 29 beside an extent of the fog (held-out
+    # conditions refused them); true ones 25 to 434.
     form_share: float = 0.2
     form_entry_share: float = 0.1
     # By which an added effect must lower the misfit of held-out conditions, two standard deviations, however much it
@@ -114,10 +115,10 @@ class NumericalConfig:
 
     # ---- Which candidates are fitted ----
     max_effects: int = 3  # named at most
-    refitted: int = 4  # candidates alone,
-    added_refitted: int = 2  # on top of others,
-    hidden_refitted: int = 1  # such as what is left open may stand for,
-    rest_refitted: int = 5  # and from rest
+    refitted: int = 4  # effects alone that are fitted; the best ones by their responses
+    added_refitted: int = 2  # effects on top of others
+    hidden_refitted: int = 1  # effects whose response a sensor's open uncertainties may have taken up
+    rest_refitted: int = 5  # effects fitted from where those uncertainties stand at rest
     # Pairs of effects that are scored within the bounds of the nuisances, the best ones without them; and fitted.
     pairs_screened: int = 60
     pairs_refitted: int = 4

@@ -42,7 +42,7 @@ from torchweather.gap.inference.held_out import HeldOut, excess_left, held_out
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.residual_tests import ResidualTest
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
-from torchweather.gap.inference.simulated_distribution import FrameModel, SimulatedDistribution, observations
+from torchweather.gap.inference.simulated_distribution import FrameModel, observations
 
 __all__ = ["GapResult", "find_gap_with"]
 
@@ -209,7 +209,7 @@ def _rounds(
             return rounds
         remaining = _remaining_templates(search, global_test, best)
         wide = beside_form_errors(search, best.fit, values)
-        seen = _seen_from(search, remaining, best.fit.base, wide.base)
+        seen = search.templates_at(remaining, wide.base, best.fit.base)
         pairs: list[Proposal] = []
         if len(rounds) == 1 and not _leaves_noise(global_test, best.fit):
             # While the responses around the base still say something: pairs of any two.
@@ -326,19 +326,6 @@ def _promises(templates: Sequence[ResponseTemplate], wide: Fit, threshold: float
     """True where a response explains more than noise does of what is left beside the errors of forms."""
     left = wide.nuisance.left(wide.residual)
     return bool(templates) and float(delta_chi2(templates, left[None], wide.nuisance).max()) >= threshold
-
-
-def _seen_from(
-    search: SimulatorLikelihood,
-    templates: Sequence[ResponseTemplate],
-    old: SimulatedDistribution,
-    new: SimulatedDistribution,
-) -> list[ResponseTemplate]:
-    """Responses in units of one scatter, in those of another."""
-    if not templates:
-        return []
-    found = search.rewhitened(np.stack([template.response for template in templates]), old, new)
-    return [replace(template, response=response) for template, response in zip(templates, found, strict=True)]
 
 
 def _beside(search: SimulatorLikelihood, global_test: GlobalTest) -> list[ResponseTemplate]:

@@ -302,10 +302,15 @@ class SimulatorLikelihood:
         return Systematics(response, nuisance.offset, nuisance.moving, nuisance.precision)
 
     def templates_at(
-        self, templates: Sequence[ResponseTemplate], base: SimulatedDistribution
+        self,
+        templates: Sequence[ResponseTemplate],
+        base: SimulatedDistribution,
+        old: SimulatedDistribution | None = None,
     ) -> list[ResponseTemplate]:
-        """Responses of the model as it was in units of another scatter."""
-        found = self.rewhitened(np.stack([template.response for template in templates]), self.start, base)
+        """Responses in units of one scatter, of the model as it was where ``old`` is left out, in those of another."""
+        if not templates:
+            return []
+        found = self.rewhitened(np.stack([template.response for template in templates]), old or self.start, base)
         return [replace(template, response=response) for template, response in zip(templates, found, strict=True)]
 
     def null_residuals(self, nuisance: Systematics, number: int, seed: int) -> Floats:
