@@ -15,6 +15,7 @@ CLEAR_NOISE = "tests/gap/sensors/camera/test_clear_noise.py"
 OF_SCENE = "tests/gap/sensors/lidar/test_lidar_scene.py"
 DISTRIBUTION = "tests/gap/inference/test_simulated_distribution.py"
 CALIBRATED = "tests/gap/inference/test_calibrated_scatter.py"
+RADAR_FRAMES = "tests/gap/sensors/radar/test_radar_frames.py"
 LIDAR_SCENE = "torchweather.gap.sensors.lidar.scene"
 
 MUTANTS = (
@@ -225,12 +226,28 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "power_of_a_target_seen_once",
+        "a target that one of two clear frames has tells of losses alone",
+        "torchweather.gap.sensors.radar.sums",
+        "weight = (there & scene.known).astype(np.float64)",
+        "weight = there.astype(np.float64)",
+        (f"{RADAR_FRAMES}::test_a_target_that_one_clear_frame_has_tells_of_losses_alone",),
+    ),
+    Mutant(
+        "class_says_nothing_of_two_clear_frames",
+        "of two clear frames the class of a target says how it scatters",
+        "torchweather.gap.sensors.radar.scene",
+        "(1.0 - chance) * _median_spread(values, least) ** 2 + chance * FADING_SPREAD_DB**2)",
+        "_median_spread(values, least) ** 2 + 0.0 * chance)",
+        (f"{RADAR_FRAMES}::test_a_single_other_frame_tells_no_spread_of_a_target_but_its_class_may",),
+    ),
+    Mutant(
         "path_loss_taken_for_the_record",
         "a radar's path loss is named beside another effect",
         "torchweather.gap.sensors.radar.frames",
         "self.as_record: AbstractSet[str] = frozenset()",
         'self.as_record: AbstractSet[str] = {"radar.path_loss_scale"}',
-        ("tests/gap/sensors/radar/test_radar_frames.py::test_a_path_loss_is_named_beside_another_effect",),
+        (f"{RADAR_FRAMES}::test_a_path_loss_is_named_beside_another_effect",),
     ),
     Mutant(
         "ghosts_counted_to_a_decibel",
@@ -238,7 +255,7 @@ MUTANTS = (
         "torchweather.gap.sensors.radar.forms",
         'unmodelled: ClassVar[tuple[str, ...]] = ("ghost_count", "clutter_count")',
         "unmodelled: ClassVar[tuple[str, ...]] = ()",
-        ("tests/gap/sensors/radar/test_radar_frames.py::test_the_number_of_ghosts_is_known_to_half_of_it",),
+        (f"{RADAR_FRAMES}::test_the_number_of_ghosts_is_known_to_half_of_it",),
     ),
     Mutant(
         "second_paths_of_two_delays",
@@ -246,7 +263,7 @@ MUTANTS = (
         "torchweather.gap.sensors.radar.forms",
         '{"delay_m": (1.1, 2.3, 4.5, 9.0, 18.0)}',
         '{"delay_m": (5.0, 15.0)}',
-        ("tests/gap/sensors/radar/test_radar_frames.py::test_second_paths_are_tried_in_each_octave_of_their_delay",),
+        (f"{RADAR_FRAMES}::test_second_paths_are_tried_in_each_octave_of_their_delay",),
     ),
     Mutant(
         "maps_of_fog_known_exactly",

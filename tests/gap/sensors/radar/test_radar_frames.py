@@ -27,6 +27,7 @@ from torchweather.gap.sensors.radar.scene import (
     FLICKERS,
     LEAST_LEVEL_SHARE,
     LEAST_SPREAD,
+    MEASURED,
     PRIOR_DEGREES,
     SELDOM,
     detections_of,
@@ -216,8 +217,32 @@ def test_what_all_targets_share_in_a_frame_is_read_from_the_quiet_ones() -> None
         assert np.abs(level - (true - true.mean())).max() < 0.03
 
 
-def test_a_single_other_frame_tells_of_no_level() -> None:
-    np.testing.assert_array_equal(inverse_variance_weights(np.ones((2, 4)), 0.05, np.ones((2, 4))), 1.0)
+def test_a_single_other_frame_tells_no_spread_of_a_target_but_its_class_may() -> None:
+    power_db = np.array([[20.0, 21.0, 30.0], [20.6, 21.2, 30.4]])
+    median = np.median([0.3**2, 0.1**2, 0.2**2]) * 2.0 + 0.05**2
+    fluctuates = np.broadcast_to([0.0, 0.5, 1.0], (2, 3))
+    weights = inverse_variance_weights(power_db, 0.05, np.ones((2, 3)), fluctuates)
+    wanted = [median, 0.5 * median + 0.5 * FADING_SPREAD_DB**2, FADING_SPREAD_DB**2]
+    np.testing.assert_allclose(1.0 / weights, np.broadcast_to(wanted, (2, 3)), rtol=1e-9)
+    np.testing.assert_allclose(inverse_variance_weights(power_db, 0.05, np.ones((2, 3))), 1.0 / median, rtol=1e-9)
+
+
+def test_a_target_that_one_clear_frame_has_tells_of_losses_alone() -> None:
+    model = RadarFrames(tiny_radar_study(seed=9, number=NUMBER, clear=2, frames=2))
+    scene, frames = model.scenes["s0"], model.fit[0].frames
+    once = (~np.isnan(scene.clear.power_db)).sum(0) == 1
+    assert once.any()
+    assert not (scene.known & once).any()
+    found = detections_of(list(frames))
+    moved = replace(found, **{name: getattr(found, name) + np.where(once, 9.0, 0.0) for name in MEASURED})
+    lost = replace(found, **{name: np.where(once, np.nan, getattr(found, name)) for name in MEASURED})
+    row, lever = np.array([0, 1]), np.array([-1.0, 1.0])
+    as_it_is, as_moved, as_lost = (model._sums["s0"](one, row, np.zeros(NUMBER), lever) for one in (found, moved, lost))
+    for name in ("power_residual_db", "speed_residual_m_per_s", "range_error_m"):
+        of_values = [group(model, one, name, "range_m") for one in (as_it_is, as_moved)]
+        np.testing.assert_array_equal(*of_values)
+    flickers = [group(model, one, "lost_flickering_share", "range_m").sum() for one in (as_it_is, as_lost)]
+    assert flickers[0] < flickers[1]
 
 
 def test_targets_that_one_other_frame_has_weigh_nothing() -> None:

@@ -115,6 +115,8 @@ class RadarScene:
             lacks the deep fades, and is too strong.
         margin_db: ``(K, N)`` by which a target exceeds the detection threshold in the mean of all clear frames but one.
         counted: ``(K, N)`` targets that half of all clear frames but one have, or more.
+        known: ``(N,)`` those that two clear frames have, so that they tell how its values scatter. One that a single
+            clear frame has departs from it in weather by more than clear frames ever show.
         steady: ``(K, N)`` those that stand above the threshold by several times their spread, and by more if they
             may fluctuate (``radar_fading.py``): what flickers in clear air is lost in weather by chance, and how often
             it does so a handful of clear frames tells badly, and equally badly for all conditions.
@@ -128,6 +130,7 @@ class RadarScene:
     level_weight: Mapping[str, Floats]
     margin_db: Floats
     counted: NDArray[np.bool_]
+    known: NDArray[np.bool_]
     steady: NDArray[np.bool_]
 
     @property
@@ -153,7 +156,8 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
         for name in ("range_m", "azimuth_rad", "elevation_rad", "speed_m_per_s", "target_class")
     }
     seen = ~np.isnan(clear.power_db)
-    if not (seen.sum(0) >= 2).any():
+    known = seen.sum(0) >= 2
+    if not known.any():
         raise TorchweatherError(
             f"find_gap: not enough data to decide: {scene.clear.name}: power_db: expected targets that two clear "
             "frames or more detect; got none. Without them the differences between clear frames are unknown."
@@ -174,7 +178,7 @@ def radar_scene(scene: StudyScene, radar: Radar) -> RadarScene:
     counted = others >= max(0.5 * (count - 1), 1.0)
     steady = counted & (others == count - 1) & (margin_db > FLICKERS * spread["power_db"])
     steady &= fades < SELDOM
-    return RadarScene(clear, geometry, reference, floor, spread, level_weight, margin_db, counted, steady)
+    return RadarScene(clear, geometry, reference, floor, spread, level_weight, margin_db, counted, known, steady)
 
 
 def _fading(clear: Detections, floor_db: Floats, threshold_db: float, target_class: Floats) -> tuple[Floats, Floats]:
@@ -228,7 +232,8 @@ def inverse_variance_weights(
     """Inverse squares ``(K, N)`` of the spread of each target about its own mean and the frame's, over all frames but
     one. The frame's is the mean of all targets by these weights, so they are found in turns; a lower limit keeps one
     target from being that mean. A handful of frames tells a spread badly: it is drawn towards that of targets of about
-    the same power, as noise goes with the power. One other frame tells nothing: all weigh the same.
+    the same power, as noise goes with the power. One other frame tells no spread: each has the median one of all
+    targets, or that of one that fluctuates, as far as its class does.
 
     Args:
         values: ``(K, N)`` of the frames, NaN where not detected.
@@ -237,7 +242,8 @@ def inverse_variance_weights(
         fluctuates: ``(K, N)`` probability that a target's power does; ``None`` where that is no matter.
     """
     if len(values) < 3:
-        return np.ones_like(values)
+        chance = np.zeros_like(values) if fluctuates is None else fluctuates
+        return 1.0 / ((1.0 - chance) * _median_spread(values, least) ** 2 + chance * FADING_SPREAD_DB**2)
     found = []
     for row in range(len(values)):
         others = np.delete(values, row, 0)
