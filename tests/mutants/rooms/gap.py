@@ -226,6 +226,14 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "objects_read_on_the_scale_of_particles",
+        "a scale of the readings of particles is one of particles alone",
+        "torchweather.gap.sensors.lidar.systematics",
+        "int(PointKind.PARTICLE), scaled, signal)}",
+        "int(PointKind.PARTICLE), scaled, scaled)}",
+        ("tests/gap/sensors/lidar/test_lidar_systematics.py::test_particles_are_read_on_a_scale_of_their_own",),
+    ),
+    Mutant(
         "power_of_a_target_seen_once",
         "a target that one of two clear frames has tells of losses alone",
         "torchweather.gap.sensors.radar.sums",
