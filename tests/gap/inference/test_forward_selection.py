@@ -447,6 +447,21 @@ def test_a_held_out_gap_far_above_its_floor_is_a_rest() -> None:
         assert _verdict(global_test(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
 
 
+def test_held_out_conditions_say_how_likely_noise_leaves_as_much() -> None:
+    result = searched((WINDOW, 2.0))
+    assert result.before.p_value < METHOD.residual_p
+    assert result.after.p_value > METHOD.left_by_noise
+
+
+def test_a_held_out_gap_that_noise_may_well_leave_is_none() -> None:
+    """In weather that comes in banks six frames differ from six others by more than the noise of their beams."""
+    for before, gap, verdict in ((4.0, 1.55, "named_and_rest"), (2.4, 1.75, "unknown")):
+        held = HeldOut(gap, 1.0, 0.05, 210.0, 0.9 * METHOD.left_by_noise)
+        assert _verdict(global_test(), left_by(210.0), replace(BEFORE, gap=before), held) == verdict
+        held = replace(held, p_value=1.1 * METHOD.left_by_noise)
+        assert _verdict(global_test(), left_by(210.0), replace(BEFORE, gap=before), held) == "named"
+
+
 @pytest.mark.parametrize(
     ("gap", "verdict"),
     [(2.9, "named_and_rest"), (8.5, "named_and_rest"), (9.5, "unknown")],  # of 20: 2, 18 and 22 % of the square

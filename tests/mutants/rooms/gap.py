@@ -436,6 +436,22 @@ MUTANTS = (
         ("tests/gap/inference/test_residual_tests.py::test_what_conditions_have_in_common_is_not_drowned_in_each",),
     ),
     Mutant(
+        "noise_of_held_out_data_is_a_rest",
+        "a held-out gap that noise may well leave is none",
+        "torchweather.gap.inference.forward_selection",
+        "after.gap > METHOD.residual_gap * after.floor and after.p_value < METHOD.left_by_noise",
+        "after.gap > METHOD.residual_gap * after.floor",
+        (f"{SELECTION}::test_a_held_out_gap_that_noise_may_well_leave_is_none",),
+    ),
+    Mutant(
+        "held_out_data_are_noise",
+        "held-out conditions say how likely noise leaves as much",
+        "torchweather.gap.inference.held_out",
+        "p_value = min(test.p_value(apart), test.common_p_value(apart))",
+        "p_value = 1.0",
+        (f"{SELECTION}::test_held_out_conditions_say_how_likely_noise_leaves_as_much",),
+    ),
+    Mutant(
         "much_left_of_held_out_data_is_a_rest",
         "what leaves a fifth of the held-out square is not what is missing",
         "torchweather.gap.inference.forward_selection",

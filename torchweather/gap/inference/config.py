@@ -23,7 +23,8 @@ class InferenceConfig:
     # alarm_p: a few counts do not make one by chance.
     sure_alarm_p: float = 1e-6
     residual_p: float = 1e-4  # p value of one statistic below which its residual is no noise
-    left_by_noise: float = 0.1  # probability of a misfit as large, from which one effect leaves a pair nothing
+    # Probability of a misfit as large, from which one effect leaves a pair nothing, and a held-out gap is no remainder.
+    left_by_noise: float = 0.1
 
     # ---- Does an effect earn its place? ----
     parameter_penalty: float = 5.0  # chi-square that one more parameter must gain: 97 % of one degree of freedom
@@ -43,7 +44,7 @@ class InferenceConfig:
     # ---- Named, with a rest, or unknown? ----
     rest_share: float = 0.01  # of what departs, that is left where noise leaves none, from which there is a rest
     unknown_share: float = 0.25  # and from which the effects found explain too little
-    residual_gap: float = 1.5  # held-out gap over its floor above which something else is missing
+    residual_gap: float = 1.5  # held-out gap over its floor above which something else is missing, if it is no noise
     unexplained_gap: float = 10.0  # and above which the selection counts as nothing found
     # Of the square of the held-out gap over its floor, left, above which the selection counts as nothing found.
     # On development studies effects of the catalogue, also of another form, left at most 0.16 of it; of others two

@@ -374,7 +374,8 @@ def _verdict(
     """Verdict on effects that were fitted: also on conditions that they were not fitted to.
 
     Gates of a name: the alarm itself, more than noise gains, held-out conditions that do not speak against it, and a
-    share of what departs. What the effects may do that they do not simulate speaks not against them; it is a rest.
+    share of what departs. What the effects may do that they do not simulate speaks not against them; it is a rest. Nor
+    does a held-out gap that noise may well leave, however large.
     """
     explained = global_test.misfit - fit.misfit
     unexplained = (
@@ -392,7 +393,7 @@ def _verdict(
     )
     over = (after.gap**2 - after.floor**2) / max(before.gap**2 - before.floor**2, 1e-9)
     far = after.gap > METHOD.unexplained_gap * after.floor
-    rest = after.gap > METHOD.residual_gap * after.floor
+    rest = after.gap > METHOD.residual_gap * after.floor and after.p_value < METHOD.left_by_noise
     held = excess_left(before.gap, after.gap, after.floor)
     if before.gap > METHOD.residual_gap * before.floor and held is not None and held <= METHOD.repaired_share:
         share = 0.0  # a rest, of which held-out conditions show next to nothing

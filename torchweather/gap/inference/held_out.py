@@ -14,6 +14,7 @@ import numpy as np
 from torchweather.gap.inference.config import METHOD, NUMERICS
 from torchweather.gap.inference.global_test import expected_square
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
+from torchweather.gap.inference.residual_tests import residual_test
 
 __all__ = ["HeldOut", "excess_left", "held_out"]
 
@@ -27,12 +28,16 @@ class HeldOut:
         floor: what a perfect model has: noise alone, the nuisances refitted.
         spread: standard deviation of that floor from draw to draw.
         misfit: its square, summed.
+        p_value: probability that noise leaves as much, in the group or the common pattern that departs most; 0 where
+            nobody asked. A gap alone does not say so: of weather in banks a few frames differ from others by more than
+            the noise of their elements, and noise leaves more than 1.
     """
 
     gap: float
     floor: float
     spread: float
     misfit: float
+    p_value: float = 0.0
 
 
 def held_out(held: SimulatorLikelihood, fitted: Fit, seed: int) -> HeldOut:
@@ -42,7 +47,9 @@ def held_out(held: SimulatorLikelihood, fitted: Fit, seed: int) -> HeldOut:
     left = np.einsum("rk,rk->r", nulls, fitted.nuisance(nulls))
     floor = np.sqrt(np.maximum(left, 0.0) / counted)  # rounding, where departures are millions of scatters
     gap = math.sqrt(max(fitted.misfit, 0.0) / counted)
-    return HeldOut(gap, float(floor.mean()), float(floor.std()), fitted.misfit)
+    test, apart = residual_test(held, fitted), fitted.nuisance.left(fitted.residual)
+    p_value = min(test.p_value(apart), test.common_p_value(apart))
+    return HeldOut(gap, float(floor.mean()), float(floor.std()), fitted.misfit, p_value)
 
 
 def excess_left(before: float, after: float, floor: float) -> float | None:
