@@ -17,6 +17,7 @@ from benchmarks.gap_bench.generator.lidar.lidar_shot import PARTICLE, TARGET, Vi
 from benchmarks.gap_bench.generator.lidar.particles import air_of, draw_drops
 from benchmarks.gap_bench.generator.lidar.rays import Target, cast, scan_pattern
 from benchmarks.gap_bench.generator.lidar.scene import SENSOR_HEIGHT_M, Box, Scene, draw_scene
+from benchmarks.gap_bench.generator.lidar.streets import Street
 from benchmarks.gap_bench.scoring import score, wilson
 from benchmarks.gap_bench.sealed import append_line, read_lines, sha256_of, write_json
 from torchweather.gap.study.study import Study
@@ -363,6 +364,37 @@ def test_decoys_are_studies(name):
 def test_wilson_interval_of_45_in_48():
     assert wilson(45, 48) == pytest.approx([0.8316, 0.9785], abs=1e-4)
     assert wilson(0, 0) is None
+
+
+@pytest.mark.parametrize(("range_m", "mor_m"), [(25.0, 400.0), (math.inf, 60.0)], ids=["a wall", "fog alone"])
+def test_in_fog_an_extinction_is_a_denser_record_with_fainter_particles(range_m, mor_m):
+    """The same frames, beam by beam: no search can distinguish them where the record may be off."""
+    view, factor = _view(range_m), 1.2
+    stronger = CATALOGUE["lidar.extinction_scale"]({"factor": factor})
+    fainter = CATALOGUE["lidar.particle_backscatter"]({"gain_db": -10.0 * math.log10(factor)})
+    one, other, as_it_is = (
+        shoot(view, Weather("fog", mor_m / density), effects, np.zeros(4), np.random.default_rng(3))
+        for density, effects in ((1.0, (stronger,)), (factor, (fainter,)), (1.0, ()))
+    )
+    seen = (one.range_m > 0.0) & (other.range_m > 0.0) & (as_it_is.range_m > 0.0)
+    assert seen.mean() > 0.2
+    assert (one.kind == other.kind).mean() > 0.999
+    # Fog is looked at in steps of depth, which are not those of the other density.
+    apart, changed = (np.abs(np.log(each.signal / one.signal))[seen] for each in (other, as_it_is))
+    assert np.median(apart) < 0.05 * np.median(changed)
+
+
+def test_what_gives_the_same_frames_in_fog_is_sealed_as_alike():
+    names = ("lidar.extinction_scale", "lidar.particle_backscatter")
+    tables = {"asked for": {"lidar.window_loss": 0.97, names[1]: 0.4}, "not": None}
+    for kind, alike in (("fog", {names[1]: 1.0}), ("snow", {})):
+        design = draw_design(np.random.default_rng(2), kind, TINY, record="common", record_sd=0.0)
+        asked, not_asked = (
+            Street(design, {names[0]: {"10": {"cosine": cosines}}}).confusable(names[0], 10.0)
+            for cosines in tables.values()
+        )
+        assert asked == {"lidar.window_loss": 0.97} | alike
+        assert not_asked == (alike or None)
 
 
 def _truth(name, level=30.0, confusable=None, options=None, family="single"):

@@ -245,8 +245,8 @@ MUTANTS = (
         "class_says_nothing_of_two_clear_frames",
         "of two clear frames the class of a target says how it scatters",
         "torchweather.gap.sensors.radar.scene",
-        "(1.0 - chance) * _median_spread(values, least) ** 2 + chance * FADING_SPREAD_DB**2)",
-        "_median_spread(values, least) ** 2 + 0.0 * chance)",
+        "(1.0 - chance) * _median_spread(values, least) ** 2 + chance * FADING_SPREAD_DB**2",
+        "_median_spread(values, least) ** 2 + 0.0 * chance",
         (f"{RADAR_FRAMES}::test_a_single_other_frame_tells_no_spread_of_a_target_but_its_class_may",),
     ),
     Mutant(

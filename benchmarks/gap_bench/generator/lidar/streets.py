@@ -17,6 +17,10 @@ __all__ = ["LEVELS", "Street", "street"]
 LEVELS = (5.0, 10.0, 30.0)
 # d' over its level that still counts as that level.
 NEAR = (0.65, 1.5)
+# In fog an extinction f times as strong gives the frames of a record f times as dense with particles 1 / f times as
+# bright, beam by beam: extinction f a, backscatter b = (f b) / f. The record may be off, so nothing distinguishes them.
+# Cosines do not show it, as what a rate does is taken out along a direction that is known to noise.
+ALIKE_IN_FOG = ("lidar.extinction_scale", "lidar.particle_backscatter")
 
 
 @dataclass(frozen=True)
@@ -41,11 +45,14 @@ class Street:
         return {key: float(value) for key, value in held.items()}
 
     def confusable(self, name: str, level: float) -> dict[str, float] | None:
-        """Effects whose signature is nearly parallel, with the cosine; ``None`` where it was not asked for."""
+        """Effects whose signature is nearly parallel, with the cosine, or the same; ``None`` where it was not asked for
+        and is none."""
+        fog = any(one.weather.kind == "fog" for one in self.design.conditions)
+        same = {other: 1.0 for other in ALIKE_IN_FOG if other != name and name in ALIKE_IN_FOG and fog}
         held = self.table[name][f"{level:g}"]["cosine"]
         if held is None:
-            return None
-        return {other: value for other, value in held.items() if value >= IDENTIFIABLE_BELOW}
+            return same or None
+        return {other: value for other, value in held.items() if value >= IDENTIFIABLE_BELOW} | same
 
 
 def street(key: list[int], kind: str, size: Size, cache: Path | None, names: tuple[str, ...] | None = None) -> Street:

@@ -243,7 +243,8 @@ def inverse_variance_weights(
     """
     if len(values) < 3:
         chance = np.zeros_like(values) if fluctuates is None else fluctuates
-        return 1.0 / ((1.0 - chance) * _median_spread(values, least) ** 2 + chance * FADING_SPREAD_DB**2)
+        variance: Floats = (1.0 - chance) * _median_spread(values, least) ** 2 + chance * FADING_SPREAD_DB**2
+        return 1.0 / variance
     found = []
     for row in range(len(values)):
         others = np.delete(values, row, 0)
