@@ -40,13 +40,15 @@ def places_uri(places: Places) -> str:
     largest = float(np.quantile(known, 0.98)) if len(known) else 1.0
     norm = Normalize(-max(largest, 1e-9), max(largest, 1e-9))
     left, right, bottom, top = places.values.extent
-    stacked = places.values.frame is not None and abs((right - left) / (top - bottom)) > WIDE
+    ratio = abs((right - left) / (top - bottom))
+    stacked = places.values.frame is not None and ratio > WIDE
     wide = places.values.frame is not None and places.values.x_name.startswith("azimuth")
     stacked |= wide
     rows, columns = (len(panels), 1) if stacked else (1, len(panels))
-    size = (9.6, 0.35 + 2.2 * rows) if stacked else (9.6, 4.1)
+    row_in = 2.2 if wide else min(0.6 + 8.0 / ratio, 3.0)  # a frame keeps its shape, and fills the width if it can
+    size = (9.6, 0.35 + row_in * rows) if stacked else (9.6, 4.1)
     with mpl.rc_context({**STYLE, "font.size": 9.0, "figure.facecolor": "white"}):
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, layout="constrained" if wide or places.values.shape is None else "compressed")
         axes = np.asarray(figure.subplots(rows, columns, squeeze=False)).ravel()
         for one, (title, values) in zip(axes, panels, strict=True):
             number, of = departing(places, values)
