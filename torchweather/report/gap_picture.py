@@ -40,8 +40,8 @@ def places_uri(places: Places) -> str:
     largest = float(np.quantile(known, 0.98)) if len(known) else 1.0
     norm = Normalize(-max(largest, 1e-9), max(largest, 1e-9))
     left, right, bottom, top = places.values.extent
-    ratio = abs((right - left) / (top - bottom))
-    stacked = places.values.frame is not None and ratio > WIDE
+    ratio = abs((right - left) / (top - bottom)) if places.values.frame is not None else 1.0
+    stacked = ratio > WIDE
     wide = places.values.frame is not None and places.values.x_name.startswith("azimuth")
     stacked |= wide
     rows, columns = (len(panels), 1) if stacked else (1, len(panels))

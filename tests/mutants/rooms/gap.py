@@ -237,8 +237,8 @@ MUTANTS = (
         "power_of_a_target_seen_once",
         "a target that one of two clear frames has tells of losses alone",
         "torchweather.gap.sensors.radar.sums",
-        "weight = (there & scene.known).astype(np.float64)",
-        "weight = there.astype(np.float64)",
+        "valued = there & scene.known",
+        "valued = there",
         (f"{RADAR_FRAMES}::test_a_target_that_one_clear_frame_has_tells_of_losses_alone",),
     ),
     Mutant(

@@ -375,7 +375,7 @@ def _verdict(
 
     Gates of a name: the alarm itself, more than noise gains, held-out conditions that do not speak against it, and a
     share of what departs. What the effects may do that they do not simulate speaks not against them; it is a rest. Nor
-    does a held-out gap that noise may well leave, however large.
+    does a held-out gap that noise may well leave, up to ``unexplained_gap`` floors.
     """
     explained = global_test.misfit - fit.misfit
     unexplained = (

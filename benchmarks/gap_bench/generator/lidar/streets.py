@@ -19,7 +19,7 @@ LEVELS = (5.0, 10.0, 30.0)
 NEAR = (0.65, 1.5)
 # In fog an extinction f times as strong gives the frames of a record f times as dense with particles 1 / f times as
 # bright, beam by beam: extinction f a, backscatter b = (f b) / f. The record may be off, so nothing distinguishes them.
-# Cosines do not show it, as what a rate does is taken out along a direction that is known to noise.
+# Cosines do not show it: the response to a rate is removed along a direction that has noise of its own.
 ALIKE_IN_FOG = ("lidar.extinction_scale", "lidar.particle_backscatter")
 
 

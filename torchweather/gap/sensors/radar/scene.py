@@ -115,8 +115,8 @@ class RadarScene:
             lacks the deep fades, and is too strong.
         margin_db: ``(K, N)`` by which a target exceeds the detection threshold in the mean of all clear frames but one.
         counted: ``(K, N)`` targets that half of all clear frames but one have, or more.
-        known: ``(N,)`` those that two clear frames have, so that they tell how its values scatter. One that a single
-            clear frame has departs from it in weather by more than clear frames ever show.
+        known: ``(N,)`` targets that two clear frames or more detect, whose scatter can be estimated. A target that a
+            single clear frame detects departs from it in weather by more than any two clear frames differ.
         steady: ``(K, N)`` those that stand above the threshold by several times their spread, and by more if they
             may fluctuate (``radar_fading.py``): what flickers in clear air is lost in weather by chance, and how often
             it does so a handful of clear frames tells badly, and equally badly for all conditions.

@@ -206,12 +206,13 @@ class RadarSums:
         reference = {name: values[row] for name, values in scene.reference.items()}
         counted = scene.counted[row]
         there = ~np.isnan(frames.power_db) & counted
-        weight = (there & scene.known).astype(np.float64)
+        valued = there & scene.known
+        weight = valued.astype(np.float64)
 
         def residual(name: str) -> Floats:
-            return np.where(weight > 0.0, getattr(frames, name) - reference[name], 0.0)
+            return np.where(valued, getattr(frames, name) - reference[name], 0.0)
 
-        power = np.where(weight > 0.0, residual("power_db") + loss_db, 0.0)
+        power = np.where(valued, residual("power_db") + loss_db, 0.0)
         speed, apart = residual("speed_m_per_s"), residual("range_m")
         steady = weight * scene.level_weight["power_db"][row]
         is_steady = scene.steady[row]
@@ -236,7 +237,7 @@ class RadarSums:
         known = len(scene.clear) >= FEWEST_CLEAR
         found["free"] = known * weight * (1.0 - 1.0 / np.maximum(number, 1.0))
         for name, least in (("fluctuation", "power_db"), ("speed_wide", "speed_m_per_s"), ("wide", "range_m")):
-            of = np.where(weight > 0.0, getattr(frames, least), 0.0)
+            of = np.where(valued, getattr(frames, least), 0.0)
             of = of - over_frames(of, together) / np.maximum(number, 1.0)
             kept = weight * scene.level_weight[least][row]
             common = (kept * of).sum(1, keepdims=True) / np.maximum(kept.sum(1, keepdims=True), 1e-9)
