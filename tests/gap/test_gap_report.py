@@ -103,7 +103,7 @@ def result(verdict: str, departure: Floats, left: Floats | None = None, whole: f
         seed=0,
         catalogue_effects=lambda point: [EFFECTS[name](**values) for name, values in point.values.items()],
     )
-    held = HeldOut(3.0, 1.0, 0.1, 9.0 * SIZE)
+    held = HeldOut(3.0, 1.0, 0.1, 9.0 * SIZE, p_value=0.0)
     given = {
         "verdict": verdict,
         "fit": None,
@@ -389,10 +389,10 @@ def test_a_curve_has_its_own_unit_beside_standard_deviations() -> None:
 
 
 def test_the_answer_holds_the_share_of_the_excess_that_is_left() -> None:
-    before, after = HeldOut(3.0, 1.0, 0.1, 9.0), HeldOut(1.5, 1.0, 0.1, 2.0)
+    before, after = HeldOut(3.0, 1.0, 0.1, 9.0, p_value=0.0), HeldOut(1.5, 1.0, 0.1, 2.0, p_value=0.0)
     found = gap_report(result("named", ripple(0.01), before=before, after=after, **fitted()), "ab" * 32, 3).to_dict()
     assert found["gap"]["excess_left"] == 0.25
-    alike = HeldOut(1.05, 1.0, 0.1, 1.1)
+    alike = HeldOut(1.05, 1.0, 0.1, 1.1, p_value=0.0)
     found = gap_report(result("none", ripple(0.01), before=alike, after=alike), "ab" * 32, 3).to_dict()
     assert found["gap"]["excess_left"] is None
 

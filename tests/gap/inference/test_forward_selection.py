@@ -322,8 +322,8 @@ def test_an_effect_may_hide_behind_what_is_left_open() -> None:
 # ---- gates, on plain numbers -----------------------------------------------------------------------------------------
 
 
-BEFORE = HeldOut(gap=2.0, floor=1.0, spread=0.05, misfit=400.0)
-EXPLAINED = HeldOut(gap=1.2, floor=1.0, spread=0.05, misfit=110.0)
+BEFORE = HeldOut(gap=2.0, floor=1.0, spread=0.05, misfit=400.0, p_value=0.0)
+EXPLAINED = HeldOut(gap=1.2, floor=1.0, spread=0.05, misfit=110.0, p_value=0.0)
 
 
 def global_test(
@@ -346,7 +346,7 @@ def global_test(
 
 
 def test_the_global_test_is_read_under_its_old_name_with_a_warning() -> None:
-    alarm, held = global_test(), HeldOut(1.0, 1.0, 0.05, 1.0)
+    alarm, held = global_test(), HeldOut(1.0, 1.0, 0.05, 1.0, p_value=0.0)
     result = GapResult("none", None, (), alarm, held, held, np.zeros(4), SimpleNamespace(), 0.0)  # type: ignore[arg-type]
     with pytest.warns(DeprecationWarning, match="is GapResult.global_test now"):
         assert result.screening is alarm
@@ -385,7 +385,7 @@ def test_what_is_left_decides_between_a_name_a_rest_and_no_name(share: float, ve
 def test_what_repairs_held_out_conditions_is_a_name_of_another_form(before: float, after: float, verdict: str) -> None:
     """However much it leaves where it was fitted."""
     found = global_test(excess=1000.0, residual_p=0.5 * METHOD.residual_p)
-    held = HeldOut(gap=after, floor=1.0, spread=0.05, misfit=110.0)
+    held = HeldOut(gap=after, floor=1.0, spread=0.05, misfit=110.0, p_value=0.0)
     assert _verdict(found, left_by(200.0), replace(BEFORE, gap=before), held) == verdict
 
 
@@ -421,7 +421,7 @@ def test_a_pattern_that_all_conditions_have_need_not_be_explained(common_p: floa
     """An alarm is enough where an effect explains no more than noise, or held-out conditions speak against it."""
     found = global_test(p_value=2.0 * METHOD.sure_alarm_p, common_p=common_p)
     assert _verdict(found, left_by(1200.0 - 29.0), BEFORE, EXPLAINED) == verdict
-    worse = HeldOut(gap=2.1, floor=1.0, spread=0.05, misfit=1000.0)
+    worse = HeldOut(gap=2.1, floor=1.0, spread=0.05, misfit=1000.0, p_value=0.0)
     assert _verdict(found, left_by(1200.0 - 60.0), BEFORE, worse) == verdict
 
 
@@ -437,14 +437,14 @@ def test_a_name_must_hold_on_held_out_conditions(p_value: float, verdict: str, e
     """They must not speak against a weak effect; a strong one may lose a little there."""
     found = global_test(misfit=210.0 + explained, p_value=p_value)
     for gained, expected in ((least - 0.1, verdict), (least + 0.1, "named")):
-        after = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=BEFORE.misfit - gained)
+        after = HeldOut(gap=1.05, floor=1.0, spread=0.05, misfit=BEFORE.misfit - gained, p_value=0.0)
         assert _verdict(found, left_by(210.0), BEFORE, after) == expected
 
 
 def test_a_held_out_gap_far_above_its_floor_is_a_rest() -> None:
     before = replace(BEFORE, gap=4.0)
     for gap, verdict in ((1.45, "named"), (1.55, "named_and_rest")):
-        assert _verdict(global_test(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
+        assert _verdict(global_test(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0, p_value=0.0)) == verdict
 
 
 def test_held_out_conditions_say_how_likely_noise_leaves_as_much() -> None:
@@ -468,16 +468,20 @@ def test_a_held_out_gap_that_noise_may_well_leave_is_none() -> None:
 )
 def test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing(gap: float, verdict: str) -> None:
     """That over the floor's."""
-    before = HeldOut(20.0, 1.0, 0.05, 16000.0)
-    assert _verdict(global_test(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0)) == verdict
-    far = HeldOut(100.0, 1.0, 0.05, 4e5)  # nearly all of it explained
-    assert _verdict(global_test(), left_by(210.0), far, HeldOut(gap, 1.0, 0.05, 210.0)) == "named_and_rest"
+    before = HeldOut(20.0, 1.0, 0.05, 16000.0, p_value=0.0)
+    assert _verdict(global_test(), left_by(210.0), before, HeldOut(gap, 1.0, 0.05, 210.0, p_value=0.0)) == verdict
+    far = HeldOut(100.0, 1.0, 0.05, 4e5, p_value=0.0)  # nearly all of it explained
+    assert _verdict(global_test(), left_by(210.0), far, HeldOut(gap, 1.0, 0.05, 210.0, p_value=0.0)) == "named_and_rest"
     # A gap that was near its floor before says as much.
     for gap, near in ((1.55, "unknown"), (1.45, "named")):
-        assert _verdict(global_test(), left_by(210.0), replace(far, gap=2.0), HeldOut(gap, 1.0, 0.05, 210.0)) == near
+        assert (
+            _verdict(global_test(), left_by(210.0), replace(far, gap=2.0), HeldOut(gap, 1.0, 0.05, 210.0, p_value=0.0))
+            == near
+        )
     # ... but ten floors are not a rest, whatever was explained.
     assert (
-        _verdict(global_test(), left_by(210.0), replace(far, gap=200.0), HeldOut(12.0, 1.0, 0.05, 210.0)) == "unknown"
+        _verdict(global_test(), left_by(210.0), replace(far, gap=200.0), HeldOut(12.0, 1.0, 0.05, 210.0, p_value=0.0))
+        == "unknown"
     )
 
 

@@ -28,16 +28,16 @@ class HeldOut:
         floor: what a perfect model has: noise alone, the nuisances refitted.
         spread: standard deviation of that floor from draw to draw.
         misfit: its square, summed.
-        p_value: probability that noise leaves as much, in the group or the common pattern that departs most; 0 where
-            nobody asked. A gap alone does not say so: of weather in banks a few frames differ from others by more than
-            the noise of their elements, and noise leaves more than 1.
+        p_value: probability that noise leaves as much, in the group or the common pattern that departs most. A
+            gap alone does not say so: of weather in banks a few frames differ from others by more than the noise of
+            their elements, and noise leaves more than 1.
     """
 
     gap: float
     floor: float
     spread: float
     misfit: float
-    p_value: float = 0.0
+    p_value: float
 
 
 def held_out(held: SimulatorLikelihood, fitted: Fit, seed: int) -> HeldOut:
