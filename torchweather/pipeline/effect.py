@@ -117,6 +117,8 @@ class Effect(Stage):
         cuts: whether it acts on all that lies within its parameter: half of what it does is no work of half of it.
         scatters: whether it makes whole frames differ from one another, so that a few of them may be off by more than
             many are on average.
+        frame_density: name of the parameter by which the density of all weather differs from frame to frame, the
+            standard deviation of its logarithm: the mean of a few frames is then off as if the record were.
         each_frame_anew: whether its noise is another one in each frame of a sequence.
         searched: whether the gap workflow looks for it without being asked to; what water and snow on things do is
             asked for by the weather, and searched for where it is named.
@@ -153,6 +155,7 @@ class Effect(Stage):
     needs: ClassVar[tuple[str, ...]] = ()
     cuts: ClassVar[bool] = False
     scatters: ClassVar[bool] = False
+    frame_density: ClassVar[str | None] = None
     each_frame_anew: ClassVar[bool] = False
     searched: ClassVar[bool] = True
     unmodelled: ClassVar[tuple[str, ...]] = ()

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import math
+from statistics import NormalDist
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from torchweather.gap.inference.calibrated_scatter import CalibratedScatter, MeasuredSize, calibrated_scatter
-from torchweather.gap.inference.config import SCATTER
+from torchweather.gap.inference.calibrated_scatter import (
+    CalibratedScatter,
+    MeasuredSize,
+    calibrated_scatter,
+    log_sd_tail_variance,
+    log_sd_variance,
+)
+from torchweather.gap.inference.config import METHOD, SCATTER
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Pool, Reduced
 
 BINS, FRAMES, CLEAR, POOL = 40, 6, 8, 48
@@ -172,3 +179,30 @@ def test_what_clear_frames_leave_open_is_known_and_one_error_of_a_scene() -> Non
     np.testing.assert_allclose(found.event, [0.1, 0.16, 0.2])
     np.testing.assert_allclose(found.degrees_of_freedom, [24.0, 9.375, 6.0])  # the rest is known
     assert one.beside(0.0) is one
+
+
+@pytest.mark.parametrize("number", [3, 6, 12])
+def test_a_difference_between_frames_is_as_unlikely_as_it_is_said(number: int) -> None:
+    """Beside a steady part that is far larger the entry goes as a variance, which has the far tail of chi-square."""
+    steady = 30.0
+    squares = np.random.default_rng(4).chisquare(number - 1, 4_000_000) / (number - 1)
+    entry = 0.5 * np.log(squares + steady**2)
+    apart = (entry - entry.mean()) / math.sqrt(log_sd_tail_variance(number, 1.0, steady))
+    sure = -NormalDist().inv_cdf(METHOD.residual_p)
+    assert (apart > sure).mean() == pytest.approx(METHOD.residual_p, rel=0.2)  # of 400: four times their root
+    # With the scatter alone that is said of ten times as many and more.
+    narrow = (entry - entry.mean()) / math.sqrt(log_sd_variance(number, 1.0, steady))
+    assert (narrow > sure).mean() > 10.0 * METHOD.residual_p
+
+
+def test_clear_frames_that_are_alike_by_chance_have_the_noise_of_their_elements() -> None:
+    """Mean of 4,000 elements whose noise is 0.3, in 40 bins: frames differ by 0.3 / sqrt(4,000), and by no less."""
+    layout = Layout((Group("level", "range_m", "mean", EDGES),), ("level",), (0.01,), ())
+    weight = np.full((POOL, BINS), 100.0)
+    alike = Reduced(weight, 0.0 * weight, 0.09 * weight, np.zeros((POOL, 1)), np.zeros((POOL, 0, 1)))
+    pool = Pool(layout, alike, np.arange(POOL) % CLEAR)
+    elements = np.full(layout.size, 0.03 / math.sqrt(FRAMES))
+    found = calibrated_scatter({"rain": pool}, {"rain": MeasuredSize(FRAMES, CLEAR)}, {"rain": elements}, 0)["rain"]
+    between = np.flatnonzero(layout.each(lambda group: group.kind == "between"))
+    expected = log_sd_tail_variance(FRAMES, 0.09 / 4000.0, 0.01)
+    np.testing.assert_allclose(found.own[between], expected, rtol=1e-9)

@@ -12,8 +12,8 @@ import pytest
 from torchweather.gap.inference.candidate_fits import (
     _least,
     _profiled_along,
-    _refined,
     from_rest,
+    refined,
 )
 from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.likelihood import ParameterPoint
@@ -97,7 +97,7 @@ def test_a_fit_is_taken_up_with_the_scatter_where_it_stands(misfits: list[float]
 
     search: Any = SimpleNamespace(fit=fit, nuisance=lambda point, base: ("nuisance", point, base), exhausted=False)
     start: Any = SimpleNamespace(point="point 0", base="base 0", misfit=100.0)
-    assert _refined(search, start).misfit == best
+    assert refined(search, start).misfit == best
     assert asked == [f"point {number}" for number in range(rounds)]
 
 

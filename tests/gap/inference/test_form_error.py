@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.gap.linear_simulator import BINS, DIRECTIONS, LinearSimulator, effect
+from tests.gap.linear_simulator import BINS, DIRECTIONS, LinearSimulator, effect, strength_of
 from torchweather.gap.inference import form_error
 from torchweather.gap.inference.config import METHOD
-from torchweather.gap.inference.form_error import beside_form_errors, form_columns
+from torchweather.gap.inference.form_error import beside_form_errors, fitted_beside_form_errors, form_columns
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
 from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.statistics.frame_statistics import Group, Layout
 
-WINDOW, _, NOISE, *_ = DIRECTIONS
+WINDOW, EXTINCTION, *_ = DIRECTIONS
 STRENGTH = 4.0
 
 
@@ -71,6 +71,30 @@ def test_a_form_is_not_so_wrong_as_to_stand_for_anything() -> None:
     rough = 0.5 * own * np.where(np.arange(len(own)) % 2 == 0, 1.0, -1.0)
     assert left(search_of(rough))[1] > left(search_of())[1] + 30.0
     assert METHOD.form_entry_share == 0.1
+
+
+def test_a_form_that_is_wrong_drags_nothing_where_its_error_is_fitted_beside() -> None:
+    """A window tilted by 60 % along its axis, and an extinction that moves a third of its bins as well."""
+    model = LinearSimulator([effect(WINDOW, STRENGTH), effect(EXTINCTION, 1.0)])
+    own = change()
+    tilt = np.tile(np.linspace(-0.6, 0.6, BINS), len(own) // BINS) * own
+    moved = [replace(one, vector=one.vector + tilt) for one in observations(model, model.fit)]
+    search = SimulatorLikelihood(model, moved, 0)
+    base = search.begin()
+    start = {WINDOW: {DIRECTIONS[WINDOW][0]: STRENGTH}, EXTINCTION: {DIRECTIONS[EXTINCTION][0]: 2.0}}
+    fit = search.fit(ParameterPoint(start), base.nuisance, base.base)
+    wide = beside_form_errors(search, fit, [WINDOW])
+    again = fitted_beside_form_errors(search, wide, [WINDOW])
+
+    def off(one: Fit) -> float:
+        return abs(strength_of(EXTINCTION, one.point.values[EXTINCTION]) - 1.0)
+
+    assert off(fit) > 0.1
+    assert off(again) < 0.5 * off(fit)
+    assert again.misfit < wide.misfit
+    # The errors of the form are those of the new point: as many, and none stands behind others.
+    assert again.nuisance.behind == wide.nuisance.behind > 0
+    assert again.nuisance.response.shape == wide.nuisance.response.shape
 
 
 @pytest.mark.parametrize("names", [[], [WINDOW]])

@@ -644,34 +644,48 @@ def test_an_effect_that_there_is_not_is_refused_before_anything_is_simulated(stu
 
 
 @pytest.mark.parametrize(
-    ("gain", "with_forms", "alone", "earns"),
+    ("gain", "with_forms", "refitted", "alone", "earns"),
     [
-        (31.0, 460.0, 480.0, True),
-        (29.0, 460.0, 480.0, False),  # no more than noise
-        (31.0, 471.0, 480.0, False),  # no more, where the form of the first may be another
-        (31.0, 460.0, 420.0, False),  # the first one, fitted again, leaves as little
+        (31.0, 460.0, (500.0, 460.0), 480.0, True),
+        (29.0, 460.0, (500.0, 460.0), 480.0, False),  # no more than noise
+        (31.0, 471.0, (500.0, 440.0), 480.0, False),  # no more, where the form of the first may be another
+        (31.0, 460.0, (489.0, 460.0), 480.0, False),  # nor where the first one is fitted with that error
+        (31.0, 460.0, (489.0, 458.0), 480.0, True),
+        (31.0, 460.0, (500.0, 460.0), 420.0, False),  # the first one, fitted again, leaves as little
     ],
 )
 def test_an_added_effect_must_gain_what_noise_seldom_does(
-    gain: float, with_forms: float, alone: float, earns: bool, monkeypatch: pytest.MonkeyPatch
+    gain: float,
+    with_forms: float,
+    refitted: tuple[float, float],
+    alone: float,
+    earns: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """30; of 500 that a window leaves, also where its form is in error."""
     asked: list[list[str]] = []
 
     def seen(search: Any, fit: Any, names: Sequence[str]) -> Any:
         asked.append(list(names))
-        return SimpleNamespace(misfit=with_forms)
+        return fit_of(fit.point.values, with_forms)
+
+    def fitted_with_forms(search: Any, wide: Any, names: Sequence[str]) -> Any:
+        assert list(names) == ["lidar.window_loss"]
+        return fit_of(wide.point.values, refitted[NOISE in wide.point.values])
 
     monkeypatch.setattr(forward_selection, "beside_form_errors", seen)
+    monkeypatch.setattr(forward_selection, "fitted_beside_form_errors", fitted_with_forms)
     window = {"lidar.window_loss": {"loss_db": 1.0}}
     best = Candidate("lidar.window_loss", fit_of(window, 500.0), 300.0)
     added = Candidate(NOISE, fit_of({**window, NOISE: {}}, 400.0), gain)
     search: Any = SimpleNamespace(fit=lambda *given: fit_of(window, alone))
-    found = _that_earn(search, best, fit_of(window, 500.0), [added], 30.0)
+    found, others_alone = _that_earn(search, best, fit_of(window, 500.0), [added], 30.0)
     assert [one.id for one in found] == [NOISE] * earns
     assert asked == [["lidar.window_loss"]] * (gain > 30.0)  # the form of the others, not its own
     if earns:
-        assert found[0].misfit == with_forms
+        assert found[0].misfit == refitted[1]
+    # The first one, fitted from beside the second, is handed back where it was looked at.
+    assert others_alone.misfit == (alone if earns or alone < 480.0 else 500.0)
 
 
 def test_added_effects_are_compared_where_the_forms_of_the_others_may_be_in_error(
@@ -684,13 +698,35 @@ def test_added_effects_are_compared_where_the_forms_of_the_others_may_be_in_erro
     monkeypatch.setattr(
         forward_selection,
         "beside_form_errors",
-        lambda search, fit, others: SimpleNamespace(misfit=with_forms[next(iter(fit.point.values))]),
+        lambda search, fit, others: fit_of(fit.point.values, with_forms[next(iter(fit.point.values))]),
     )
+    monkeypatch.setattr(forward_selection, "fitted_beside_form_errors", lambda search, wide, names: wide)
     best = Candidate("lidar.window_loss", fit_of({"lidar.window_loss": {}}, 500.0), 300.0)
     added = [Candidate(one, fit_of({one: {}}, exact[one]), 500.0 - exact[one]) for one in names]
     search: Any = SimpleNamespace(fit=lambda *given: fit_of({}, 500.0))
-    found = _that_earn(search, best, fit_of({}, 500.0), added, 30.0)
+    found, _ = _that_earn(search, best, fit_of({}, 500.0), added, 30.0)
     assert [one.id for one in found] == ["lidar.spray", "lidar.crosstalk"]  # the last one is far behind
+
+
+def test_first_effects_that_a_second_leads_to_more_are_fitted_before_it_is_judged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A window that was left at half of its strength: beside another effect it goes to the whole, which is no merit of
+    that one. The round begins again with it."""
+
+    def stuck(search: SimulatorLikelihood, base: Any, global_test: Any, *more: Any) -> list[Candidate]:
+        point = ParameterPoint({WINDOW: {DIRECTIONS[WINDOW][0]: 1.0}})
+        fit = search.fit(point, base.nuisance, base.base, 0)
+        return [Candidate(WINDOW, fit, global_test.misfit - fit.misfit)]
+
+    monkeypatch.setattr(forward_selection, "_singles", stuck)
+    monkeypatch.setattr(forward_selection, "pairs_from_rest", lambda *given: [])
+    result = searched((WINDOW, 2.0), (NOISE, 0.3))
+    first = result.rounds[0][0]
+    assert strength_of(WINDOW, first.fit.point.values[WINDOW]) == pytest.approx(2.0, rel=0.05)
+    assert first.gain == pytest.approx(result.global_test.misfit - first.fit.misfit, rel=1e-9)
+    assert found_in(result) == pytest.approx({WINDOW: 2.0, NOISE: 0.3}, rel=0.05)
+    assert result.rounds[1][0].gain == pytest.approx(first.fit.misfit - result.rounds[1][0].fit.misfit, rel=1e-9)
 
 
 def test_beside_all_candidates_of_an_alarm_the_nuisances_are_fitted_anew(monkeypatch: pytest.MonkeyPatch) -> None:

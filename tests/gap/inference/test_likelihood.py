@@ -173,10 +173,10 @@ def test_what_is_left_open_and_the_clear_mean_are_nuisances_beside_the_intensiti
 
 def test_the_error_of_a_clear_mean_is_one_of_whole_frames(null: SimulatorLikelihood) -> None:
     """Clear means that are off by one draw: entries of means and spreads move, all others stay."""
-    null.nuisance(null.origin, null.start)
+    nuisance = null.nuisance(null.origin, null.start)
     layout = null.model.layout
     whole = layout.each(lambda group: group.kind in ("mean", "spread"))
-    whitened = np.stack(null.fixed)[:, None]  # one condition
+    whitened = nuisance.response[:, nuisance.moving :].T[:, None]  # one condition
     columns = null.start.whitening.undone(null._parted(null.start, whitened, 0.5))[:, 0]
     used = null.start.used[null.measured[0].condition.id]
     assert np.abs(columns[:, ~(whole & used)]).max() < 1e-9

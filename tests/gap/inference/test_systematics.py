@@ -51,7 +51,7 @@ def test_the_cost_moves_what_the_simulator_cannot_and_leaves_the_rest_where_it_s
     assert one.cost(residual) == pytest.approx(squares + float(np.square(offset).sum()), rel=1e-10)
     # Where all has been moved to its best, the cost is the misfit.
     step = one.step(residual)
-    there = one.moved(np.concatenate([one.offset[:MOVING] + step[:MOVING], np.zeros(FIXED)]))
+    there = one.moved(one.offset[:MOVING] + step[:MOVING])
     after = residual - one.response[:, :MOVING] @ step[:MOVING]
     assert there.cost(after) == pytest.approx(one.misfit(residual), rel=1e-10)
     assert there.misfit(after) == pytest.approx(one.misfit(residual), rel=1e-10)
@@ -59,11 +59,35 @@ def test_the_cost_moves_what_the_simulator_cannot_and_leaves_the_rest_where_it_s
 
 
 def test_moved_nuisances_are_new_ones_at_that_offset() -> None:
-    one, residual = nuisance().moved(nuisance(OFFSETS[1]).offset), RNG(4).normal(size=SIZE)
+    one, residual = nuisance().moved(nuisance(OFFSETS[1]).offset[:MOVING]), RNG(4).normal(size=SIZE)
     same = nuisance(OFFSETS[1])
     assert one.misfit(residual) == same.misfit(residual)
     assert one.cost(residual) == same.cost(residual)
     np.testing.assert_array_equal(nuisance().offset, np.zeros(MOVING + FIXED))  # the first one stays
+
+
+def test_what_is_put_behind_explains_as_well_and_is_taken_off_again() -> None:
+    """Against nuisances that have had those columns from the beginning, with the precision of one gauge for the first
+    ones."""
+    one, columns, residual = of_one_gauge(OFFSETS[1]), RNG(9).normal(size=(SIZE, 2)), RNG(10).normal(size=SIZE)
+    wider = one.beside(columns)
+    number = MOVING + FIXED + 2
+    whole = Systematics(
+        np.hstack([one.response, columns]),
+        np.concatenate([one.offset, np.zeros(2)]),
+        MOVING,
+        together(number, MOVING),
+    )
+    assert (wider.behind, one.behind) == (2, 0)
+    assert wider.misfit(residual) == pytest.approx(whole.misfit(residual), rel=1e-10)
+    assert wider.misfit(residual) < one.misfit(residual)
+    # They stay behind where the others move, and where more is put behind them.
+    there = wider.moved(np.zeros(MOVING)).beside(columns[:, :1])
+    assert there.behind == 3
+    again = there.without_behind()
+    assert again.behind == 0
+    assert again.misfit(residual) == pytest.approx(one.moved(np.zeros(MOVING)).misfit(residual), rel=1e-12)
+    assert one.beside(columns[:, :0]) is one
 
 
 def test_the_projection_is_that_of_the_formula() -> None:
@@ -121,14 +145,14 @@ def test_records_that_are_all_off_alike_cost_less_than_each_by_itself() -> None:
     nothing = np.zeros(SIZE)
     for place, cost in (((2.0, 2.0, 2.0), 6.0), ((2.0, 0.0, 0.0), 6.0), ((2.0, -2.0, 0.0), 16.0)):
         assert of_one_gauge(place).cost(nothing) == pytest.approx(cost, rel=1e-12)
-        assert of_one_gauge().moved(of_one_gauge(place).offset).cost(nothing) == pytest.approx(cost, rel=1e-12)
+        assert of_one_gauge().moved(np.array(place)).cost(nothing) == pytest.approx(cost, rel=1e-12)
     assert together(1, 1).tolist() == [[1.0]]
 
 
 def test_the_cost_of_where_they_stand_and_the_step_from_there_agree() -> None:
     one, residual = of_one_gauge(OFFSETS[1]), RNG(8).normal(size=SIZE)
     step = one.step(residual)
-    there = one.moved(np.concatenate([one.offset[:MOVING] + step[:MOVING], np.zeros(FIXED)]))
+    there = one.moved(one.offset[:MOVING] + step[:MOVING])
     after = residual - one.response[:, :MOVING] @ step[:MOVING]
     assert there.cost(after) == pytest.approx(one.misfit(residual), rel=1e-10)
     np.testing.assert_allclose(there.step(after)[:MOVING], 0.0, atol=1e-10)

@@ -19,9 +19,9 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma, polygamma
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
-from torchweather.gap.inference.config import NUMERICS, SCATTER
+from torchweather.gap.inference.config import METHOD, NUMERICS, SCATTER
 from torchweather.gap.inference.frame_components import FrameComponents, between_share, frame_components
 from torchweather.gap.statistics.counting import (
     ANSCOMBE,
@@ -32,7 +32,7 @@ from torchweather.gap.statistics.counting import (
 )
 from torchweather.gap.statistics.frame_statistics import COUNTED, TINY, Group, Layout, Pool
 
-__all__ = ["CalibratedScatter", "MeasuredSize", "calibrated_scatter", "log_sd_variance"]
+__all__ = ["CalibratedScatter", "MeasuredSize", "calibrated_scatter", "log_sd_tail_variance", "log_sd_variance"]
 
 Floats = NDArray[np.float64]
 
@@ -349,8 +349,35 @@ def log_sd_variance(number: int, variance: float, steady: float) -> float:
         >>> round(log_sd_variance(6, 1.0, 0.0), 3)  # a quarter of the trigamma of 5/2
         0.122
     """
+    return float(_log_sd(_squares_over_variance(max(number - 1, 1)), variance, steady).var())
+
+
+def log_sd_tail_variance(number: int, variance: float, steady: float) -> float:
+    """Variance of the normal law that has as far a tail as ``log(s^2 + steady^2) / 2``: where the probability of more
+    is ``residual_p``.
+
+    Beside a large ``steady`` that is a straight line of s squared, whose tail is that of chi-square.
+
+    Args:
+        number: of values.
+        variance: of each.
+        steady: as in ``Layout``.
+
+    Example:
+        >>> log_sd_variance(6, 1.0, 0.0) > log_sd_tail_variance(6, 1.0, 0.0)  # a logarithm has a short tail
+        True
+        >>> round(math.sqrt(log_sd_tail_variance(6, 1.0, 100.0) / log_sd_variance(6, 1.0, 100.0)), 2)
+        1.77
+    """
     values = _squares_over_variance(max(number - 1, 1))
-    return float((0.5 * np.log(values * variance + max(steady, TINY) ** 2)).var())
+    far = chi2.isf(METHOD.residual_p, max(number - 1, 1)) / max(number - 1, 1)
+    beyond = _log_sd(far, variance, steady) - _log_sd(values, variance, steady).mean()
+    return float((beyond / norm.isf(METHOD.residual_p)) ** 2)
+
+
+def _log_sd(squares: Floats | float, variance: float, steady: float) -> Floats:
+    found: Floats = 0.5 * np.log(np.asarray(squares) * variance + max(steady, TINY) ** 2)
+    return found
 
 
 @lru_cache(maxsize=64)
@@ -361,6 +388,22 @@ def _squares_over_variance(degrees_of_freedom: int) -> Floats:
     )
     found.flags.writeable = False
     return found
+
+
+def _by_elements(scalar: str, pool: Pool, number: int, elements: Floats) -> float:
+    """Variance from frame to frame of a scalar that is a mean of elements, by their noise; 0 of any other.
+
+    Args:
+        scalar: its name, that of the statistic along the axes.
+        pool: simulated frames.
+        number: n, of measured frames.
+        elements: ``(P,)`` scatter of the mean of n frames in each bin.
+    """
+    for group, part in zip(pool.layout.binned, pool.layout.slices, strict=False):
+        if group.statistic == scalar and group.kind == "mean":
+            weight = pool.frames.weight[:, part].mean(0)
+            return float(number * ((weight * elements[part]) ** 2).sum() / max(weight.sum(), TINY) ** 2)
+    return 0.0
 
 
 def _scatter(
@@ -419,11 +462,14 @@ def _scatter(
             scalar = layout.scalars.index(group.statistic)
             steady, by_clear = layout.steady[scalar], float(components.of_scalars[scalar])
             scatter = pool.frames.scalar[:, scalar].var() * (1.0 + by_clear / max(clear - 1, 1))
-            # K clear frames that are alike by chance make no steady sensor: as large as it may well be.
+            # K clear frames that are alike by chance make no steady sensor: the noise of elements is there anyway, and
+            # what all have in common is as large as it may well be.
             scatter *= 1.0 + by_clear * SCATTER.well_may_be_sd * math.sqrt(2.0 / max(clear - 1, 1))
+            scatter = max(scatter, _by_elements(group.statistic, pool, number, elements))
             # As far as frames differ by clear ones, K of those tell no more of the scatter than K numbers do.
             of_clear_noise = log_sd_variance(number, scatter, steady)
-            own[part] = (1.0 - by_clear) * variance[part] + by_clear * of_clear_noise
+            mixed = (1.0 - by_clear) * variance[part] + by_clear * of_clear_noise
+            own[part] = np.maximum(mixed, log_sd_tail_variance(number, scatter, steady))
             simulated[part] = variance[part] * number / frames
             of_clear[part] = by_clear * log_sd_variance(clear, scatter, steady)
             degrees_of_freedom[part] = 1.0 / ((1.0 - by_clear) / frames + by_clear / max(clear - 1, 1))

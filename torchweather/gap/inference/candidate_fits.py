@@ -32,6 +32,7 @@ __all__ = [
     "from_rest",
     "hidden_templates",
     "pairs_from_rest",
+    "refined",
     "scattering",
     "stands_far",
     "unscaled_templates",
@@ -275,13 +276,13 @@ def fitted(
     for place, one in enumerate(found):
         if one.fit.misfit < least + NUMERICS.rival_chi2:
             progress("refining " + " and ".join(one.fit.point.values))
-            fit = _refined(search, one.fit)
+            fit = refined(search, one.fit)
             found[place] = Candidate(one.id, fit, misfit - fit.misfit)
     own = [one for one in found if not is_another(search.model, one.fit.point.values)]
     return sorted(own or found, key=lambda candidate: candidate.fit.misfit)
 
 
-def _refined(search: SimulatorLikelihood, fit: Fit) -> Fit:
+def refined(search: SimulatorLikelihood, fit: Fit) -> Fit:
     """Fitted on, with the scatter and the nuisances as they are where the fit stands, while that helps."""
     for _ in range(NUMERICS.reweightings):
         if search.exhausted:

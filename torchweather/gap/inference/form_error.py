@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 
 from torchweather.gap.inference.config import METHOD, NUMERICS
 from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
-from torchweather.gap.inference.systematics import Systematics
 
-__all__ = ["beside_form_errors", "form_columns"]
+__all__ = ["beside_form_errors", "fitted_beside_form_errors", "form_columns"]
 
 Floats = NDArray[np.float64]
 
@@ -60,12 +59,29 @@ def beside_form_errors(search: SimulatorLikelihood, fit: Fit, names: Collection[
     ]
     columns = [one for one in columns if one @ one > NUMERICS.form_least_square]
     residual = search.residual(base)
-    with_forms = _with(nuisance, columns)
+    with_forms = nuisance.beside(np.stack(columns, 1)) if columns else nuisance
     # What a fit costs beside its residual: a wider scatter, and parameters.
     aside = fit.misfit - search.misfit(fit.residual, fit.nuisance)
     return replace(
         fit, base=base, residual=residual, nuisance=with_forms, misfit=search.misfit(residual, with_forms) + aside
     )
+
+
+def fitted_beside_form_errors(search: SimulatorLikelihood, wide: Fit, names: Collection[str]) -> Fit:
+    """The same with parameters that are fitted where those forms are in error.
+
+    Fitted as if it were exact, a form that is not drags parameters and record to where it departs least.
+
+    Args:
+        search: its simulator.
+        wide: of ``beside_form_errors``, to begin from.
+        names: ids of the effects whose form may be another.
+    """
+    found = search.fit(wide.point, wide.nuisance, wide.base, NUMERICS.first_fit_steps)
+    nuisance = found.nuisance.without_behind()
+    exact = search.misfit(found.residual, nuisance) - search.misfit(found.residual, found.nuisance)
+    seen = beside_form_errors(search, replace(found, nuisance=nuisance, misfit=found.misfit + exact), names)
+    return min(wide, seen, key=lambda fit: fit.misfit)
 
 
 def form_columns(search: SimulatorLikelihood, share: float, change: list[Floats]) -> list[list[Floats]]:
@@ -96,14 +112,3 @@ def _change(search: SimulatorLikelihood, fit: Fit, name: str) -> list[Floats]:
     """Change of the mean vectors by one effect of a fit where it stands."""
     there, here = (search.mean(point, NUMERICS.screen_frames) for point in (fit.point, fit.point.without(name)))
     return [new - old for new, old in zip(there, here, strict=True)]
-
-
-def _with(nuisance: Systematics, columns: list[Floats]) -> Systematics:
-    """Nuisances and independent others of unit variance, which no simulator moves."""
-    if not columns:
-        return nuisance
-    known, added = nuisance.response.shape[1], len(columns)
-    precision = np.eye(known + added)
-    precision[:known, :known] = nuisance.precision
-    response = np.concatenate([nuisance.response, np.stack(columns, 1)], 1)
-    return Systematics(response, np.concatenate([nuisance.offset, np.zeros(added)]), nuisance.moving, precision)

@@ -29,6 +29,7 @@ from torchweather.gap.inference.candidate_fits import (
     from_rest,
     hidden_templates,
     pairs_from_rest,
+    refined,
     scattering,
     stands_far,
     unscaled_templates,
@@ -36,7 +37,7 @@ from torchweather.gap.inference.candidate_fits import (
 from torchweather.gap.inference.clear_air import ClearAir, clear_air
 from torchweather.gap.inference.config import METHOD, NUMERICS
 from torchweather.gap.inference.effect_forms import effect_class
-from torchweather.gap.inference.form_error import beside_form_errors
+from torchweather.gap.inference.form_error import beside_form_errors, fitted_beside_form_errors
 from torchweather.gap.inference.global_test import GlobalTest, counted_entries, located_templates, run_global_test
 from torchweather.gap.inference.held_out import HeldOut, excess_left, held_out
 from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
@@ -194,6 +195,7 @@ def _rounds(
     threshold = global_test.threshold
     rounds = [list(singles)]
     led: set[str] = set()  # effects that have taken the place of one that stood for them
+    tried: list[Candidate] = []  # fitted in this round, before its effects were found to explain more
     while True:
         best = rounds[-1][0]
         values = best.fit.point.values
@@ -211,7 +213,7 @@ def _rounds(
         wide = beside_form_errors(search, best.fit, values)
         seen = search.templates_at(remaining, wide.base, best.fit.base)
         pairs: list[Proposal] = []
-        if len(rounds) == 1 and not _leaves_noise(global_test, best.fit):
+        if len(rounds) == 1 and not tried and not _leaves_noise(global_test, best.fit):
             # While the responses around the base still say something: pairs of any two.
             templates = _beside(search, global_test)
             if templates:
@@ -223,12 +225,19 @@ def _rounds(
             pairs += [(best.fit.point, template, size) for template, size, gain in hidden if gain >= threshold]
         if pairs:
             proposed = [*(proposed or _best_on_top(best, seen, wide)), *pairs]
-        if not proposed:
-            return rounds
-        more = _fitted_on_top(search, base, best, wide, seen, proposed, threshold, progress)
-        kept = _that_earn(search, best, wide, more, threshold)
+        more = list(tried)
+        if proposed:
+            more += _fitted_on_top(search, base, best, wide, seen, proposed, threshold, progress)
+        kept, alone = _that_earn(search, best, wide, best_of_each_set(more), threshold)
+        if alone.misfit < best.fit.misfit - threshold:
+            # Beside another effect they were led to where they explain more by themselves: the round begins again.
+            progress("refining " + " and ".join(values))
+            rounds[-1][0] = better = _fitted_better(search, best, alone)
+            tried = [replace(one, gain=better.fit.misfit - one.fit.misfit) for one in more]
+            continue
         if not kept:
             return rounds
+        tried = []
         needful = _without_idle(search, kept[0], threshold)
         number = len(needful.point.values)
         if number < len(kept[0].fit.point.values) and kept[0].id not in led:
@@ -242,7 +251,7 @@ def _rounds(
 
 def _that_earn(
     search: SimulatorLikelihood, best: Candidate, wide: Fit, added: Sequence[Candidate], threshold: float
-) -> list[Candidate]:
+) -> tuple[list[Candidate], Fit]:
     """Fits with one effect more that earn its place, best first; none that lies far behind one that does.
 
     An effect must gain more than noise does, also where the forms of the others are in error: another form of the first
@@ -255,20 +264,39 @@ def _that_earn(
         wide: its fit, with the errors of the form of its effects.
         added: fits.
         threshold: gain that noise seldom reaches.
+
+    Returns:
+        Those fits, and the best one of the others alone.
     """
     kept: list[Candidate] = []
+    others_alone, wide_is_fitted = best.fit, False
     for one in added:
         if one.gain < threshold:
             continue
         others = [name for name in one.fit.point.values if name != one.id]
-        misfit = beside_form_errors(search, one.fit, others).misfit
+        seen = beside_form_errors(search, one.fit, others)
+        if wide.misfit - seen.misfit < threshold:
+            continue
+        if not wide_is_fitted:
+            wide, wide_is_fitted = fitted_beside_form_errors(search, wide, best.fit.point.values), True
+        misfit = fitted_beside_form_errors(search, seen, others).misfit
         if wide.misfit - misfit < threshold:
             continue
         alone = search.fit(one.fit.point.without(one.id), one.fit.nuisance, one.fit.base)
+        if set(others) == set(best.fit.point.values):
+            others_alone = min(others_alone, alone, key=lambda fit: fit.misfit)
         if alone.misfit - one.fit.misfit >= threshold * min(alone.misfit / best.fit.misfit, 1.0):
             kept.append(replace(one, with_forms=misfit))
     kept.sort(key=lambda one: one.misfit)
-    return [one for one in kept if one.misfit <= kept[0].misfit + NUMERICS.rival_chi2]
+    return [one for one in kept if one.misfit <= kept[0].misfit + NUMERICS.rival_chi2], others_alone
+
+
+def _fitted_better(search: SimulatorLikelihood, best: Candidate, found: Fit) -> Candidate:
+    """The same effects where another fit has found them to explain more."""
+    fit = refined(search, found)
+    others = [name for name in fit.point.values if name != best.id]
+    with_forms = beside_form_errors(search, fit, others).misfit if others else None
+    return Candidate(best.id, fit, best.gain + best.fit.misfit - fit.misfit, with_forms=with_forms)
 
 
 def _fitted_on_top(

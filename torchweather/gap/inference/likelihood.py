@@ -28,6 +28,7 @@ from torchweather.gap.inference.effect_forms import (
     effect_class,
     stands_at_a_place,
 )
+from torchweather.gap.inference.frame_density import density_errors, log_density_sd, without_density_errors
 from torchweather.gap.inference.kept_frames import KeptFrames
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.simulated_distribution import (
@@ -122,7 +123,6 @@ class SimulatorLikelihood:
         )
         self.frame_departures = frame_departures(model, self.measured)
         self.clear_means = clear_means(model, self.measured)
-        self.fixed: list[Floats] = []  # responses to nuisances that the simulator cannot be moved along
         self.start = self.at(ParameterPoint())
         self.origin = ParameterPoint()
 
@@ -209,7 +209,35 @@ class SimulatorLikelihood:
         pools = self.pools(point, self.pool_frames)
         found = simulated_distribution(pools, self.measured, self.noise, getattr(self, "start", None), self.seed)
         unmodelled = {name for effect in point.values for name in effect_class(self.model, effect).unmodelled}
-        return self._loosened(found, unmodelled) if unmodelled else found
+        found = self._loosened(found, unmodelled) if unmodelled else found
+        if not self.log_density_sd(point):
+            return found
+        dense = {name for name in point.values if effect_class(self.model, name).frame_density}
+        still = self.at(replace(point, values={one: own for one, own in point.values.items() if one not in dense}))
+        errors = dict(zip(self._names, self._density_errors(point), strict=True))
+        return without_density_errors(found, still, errors, self.model.layout)
+
+    def log_density_sd(self, point: ParameterPoint) -> float:
+        """Standard deviation of the logarithm of the density of the weather from frame to frame."""
+        return log_density_sd((effect_class(self.model, name), values) for name, values in point.values.items())
+
+    def _density_errors(self, point: ParameterPoint) -> list[tuple[Floats, Floats]]:
+        """Changes ``(P,)`` of each condition's mean vector by what the densities of its few frames are off; none where
+        all frames have one."""
+        sd = self.log_density_sd(point)
+        if not sd:
+            return []
+        low, middle, high = (self.mean(self._denser(point, off), NUMERICS.screen_frames) for off in (-sd, 0.0, sd))
+        return [
+            density_errors(target.frames, self.pool_frames, *ends)
+            for target, *ends in zip(self.measured, low, middle, high, strict=True)
+        ]
+
+    def _denser(self, point: ParameterPoint, log_factor: float) -> ParameterPoint:
+        """A point with the intensity of each condition times a factor."""
+        return replace(
+            point, log_intensity={name: point.log_intensity.get(name, 0.0) + log_factor for name in self._names}
+        )
 
     def _loosened(self, base: SimulatedDistribution, unmodelled: AbstractSet[str]) -> SimulatedDistribution:
         """A distribution that knows to half what effects do to statistics of which their parameters say nothing."""
@@ -223,9 +251,7 @@ class SimulatorLikelihood:
                 for name, own in scatter.items()
             }
 
-        sd = wider(base.sd)
-        shared = {name: base.shared[name] * (base.sd[name] / np.maximum(sd[name], TINY)) for name in sd}
-        return replace(base, sd=sd, total=wider(base.total), shared=shared)
+        return base.with_scatter(wider(base.sd), wider(base.total))
 
     def mean(self, point: ParameterPoint, frames: int = NUMERICS.probe_frames) -> list[Floats]:
         """Mean vectors at a point, from so many frames of each condition, no fewer than were measured."""
@@ -299,7 +325,7 @@ class SimulatorLikelihood:
     def nuisance_at(self, nuisance: Systematics, old: SimulatedDistribution, new: SimulatedDistribution) -> Systematics:
         """Nuisances in units of another scatter."""
         response = self.rewhitened(nuisance.response.T, old, new).T
-        return Systematics(response, nuisance.offset, nuisance.moving, nuisance.precision)
+        return Systematics(response, nuisance.offset, nuisance.moving, nuisance.precision, nuisance.behind)
 
     def templates_at(
         self,
@@ -343,12 +369,12 @@ class SimulatorLikelihood:
         return np.array([target.intensity_sd for target in self.measured])
 
     def offset(self, point: ParameterPoint) -> Floats:
-        """Where the nuisances stand at a point, in standard deviations: intensities, what is open, clear means."""
+        """Where the nuisances that move stand at a point, in standard deviations: intensities, and what is open."""
         sd = self.intensity_sd()
         off = np.array([point.log_intensity.get(target.condition.id, 0.0) for target in self.measured])
         intensities = np.where(sd > 0, off / np.where(sd > 0, sd, 1.0), 0.0)
         opened = np.array([point.open.get(name, 0.0) for name in self.open])
-        return np.concatenate([intensities, opened, np.zeros(len(self.fixed))])
+        return np.concatenate([intensities, opened])
 
     def bounds(self, nuisance: Systematics) -> Bounds:
         """Where nuisances may stand, in standard deviations; those that no simulator moves may anywhere."""
@@ -361,7 +387,8 @@ class SimulatorLikelihood:
     def shifted(self, point: ParameterPoint, step: Floats) -> ParameterPoint:
         """A point with its nuisances moved by a step ``(K,)``."""
         sd, number = self.intensity_sd(), len(self.measured)
-        place = np.clip(self.offset(point) + step, -SCATTER.nuisance_bound_sd, SCATTER.nuisance_bound_sd)
+        offset = self.offset(point)
+        place = np.clip(offset + step[: len(offset)], -SCATTER.nuisance_bound_sd, SCATTER.nuisance_bound_sd)
         place[number : number + len(self.open)] = np.maximum(
             place[number : number + len(self.open)], list(self.open.values())
         )
@@ -371,8 +398,32 @@ class SimulatorLikelihood:
 
     def nuisance(self, point: ParameterPoint, base: SimulatedDistribution) -> Systematics:
         """Responses to the nuisances at a point: differences in the simulator."""
-        sd = self.intensity_sd()
-        steps = np.maximum(NUMERICS.intensity_step_sd * sd, NUMERICS.least_intensity_step)
+        slopes = self._slopes(point)
+        columns = [
+            self._column(base, {number: slope * sd})
+            for number, (slope, sd) in enumerate(zip(slopes, self.intensity_sd(), strict=True))
+        ]
+        columns += self._open_columns(point, base)
+        whitened = partial(self._column, base)
+        fixed = clear_errors(self.frame_departures, self.measured, self.model.open_shifts, whitened)
+        fixed += model_errors(self.model.layout, self.measured, base, self.clear_means, whitened)
+        for number, errors in enumerate(self._density_errors(point)):
+            fixed += [self._column(base, {number: error}) for error in errors]
+        response = np.stack([*columns, *fixed], 1)
+        # A gauge that reads too low may do so in every condition.
+        precision = together(response.shape[1], len(self.measured))
+        offset = np.concatenate([self.offset(point), np.zeros(len(fixed))])
+        return Systematics(response, offset, len(columns), precision)
+
+    def _nuisance_at(self, point: ParameterPoint, nuisance: Systematics, base: SimulatedDistribution) -> Systematics:
+        """Nuisances as they stand at a point: new ones where the densities of frames differ by what the point says."""
+        if self.log_density_sd(point):
+            return self._renewed(nuisance, point, base)
+        return nuisance.moved(self.offset(point))
+
+    def _slopes(self, point: ParameterPoint) -> list[Floats]:
+        """Change ``(P,)`` of each condition's mean vector per unit of the logarithm of its intensity."""
+        steps = np.maximum(NUMERICS.intensity_step_sd * self.intensity_sd(), NUMERICS.least_intensity_step)
         ends = []
         for sign in (1.0, -1.0):
             log_intensity = {
@@ -380,18 +431,11 @@ class SimulatorLikelihood:
                 for target, step in zip(self.measured, steps, strict=True)
             }
             ends.append(self.mean(replace(point, log_intensity=log_intensity), NUMERICS.screen_frames))
-        columns = [
-            self._column(base, {number: (high - low) * (sd[number] / (2.0 * step))})
-            for number, (high, low, step) in enumerate(zip(*ends, steps, strict=True))
-        ]
-        columns += self._open_columns(point, base)
-        whitened = partial(self._column, base)
-        self.fixed = clear_errors(self.frame_departures, self.measured, self.model.open_shifts, whitened)
-        self.fixed += model_errors(self.model.layout, self.measured, base, self.clear_means, whitened)
-        response = np.stack([*columns, *self.fixed], 1)
-        # A gauge that reads too low may do so in every condition.
-        precision = together(response.shape[1], len(self.measured))
-        return Systematics(response, self.offset(point), len(columns), precision)
+        return [(high - low) / (2.0 * step) for high, low, step in zip(*ends, steps, strict=True)]
+
+    def _renewed(self, nuisance: Systematics, point: ParameterPoint, base: SimulatedDistribution) -> Systematics:
+        """Nuisances as they are at a point, with the errors of forms that are behind them."""
+        return self.nuisance(point, base).beside(nuisance.response[:, nuisance.response.shape[1] - nuisance.behind :])
 
     def _open_columns(self, point: ParameterPoint, base: SimulatedDistribution) -> list[Floats]:
         """Responses to what the model leaves open, per standard deviation; at once where no condition has two of it."""
@@ -568,7 +612,7 @@ class SimulatorLikelihood:
         ]
         point = start
         mean = self.mean(point)
-        here = nuisance.moved(self.offset(point))
+        here = self._nuisance_at(point, nuisance, base)
         residual = self.departure(base, mean)
         cost = here.cost(residual)
         begun = self.misfit(residual, here)
@@ -593,7 +637,7 @@ class SimulatorLikelihood:
                 if renewed:
                     break
                 # The nuisances may do something else here than where the search began.
-                here, renewed = self.nuisance(point, base), True
+                here, renewed = self._renewed(here, point, base), True
                 cost = here.cost(residual)
             elif gained > 10.0 * stalled:
                 renewed = False
@@ -615,7 +659,7 @@ class SimulatorLikelihood:
         """Value of a fit that ends at a point, with the scatter there; ``nuisance`` is in units of ``base``."""
         final = self.at(point)
         residual = self.residual(final)
-        here = self.nuisance_at(nuisance.moved(self.offset(point)), base, final)
+        here = self.nuisance_at(self._nuisance_at(point, nuisance, base), base, final)
         misfit = self.misfit(residual, here) + self._wider(final)
         misfit += sum(complexity_penalty(self.model, name) for name in point.values)
         return Fit(point, final, residual, here, misfit, covariance, tuple(names))

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -309,6 +309,11 @@ class SimulatedDistribution:
         """Whitened difference of vectors ``(..., P)``; entries that do not count are 0."""
         scaled = np.where(self.used[name], difference / self.sd[name], 0.0)
         return self.whitening(scaled)
+
+    def with_scatter(self, sd: Mapping[str, Floats], total: Mapping[str, Floats]) -> SimulatedDistribution:
+        """The same with another scatter; what a scene's conditions share stays what it is."""
+        shared = {name: self.shared[name] * (self.sd[name] / np.maximum(sd[name], TINY)) for name in sd}
+        return replace(self, sd=sd, total=total, shared=shared)
 
     def z(self, target: Observation) -> Floats:
         """Departure of each entry in units of its total scatter, 0 where it does not count."""

@@ -32,22 +32,42 @@ class Systematics:
         offset: ``(K,)`` x: where they stand, in standard deviations from the record.
         moving: number of those that the simulator can be moved along, the first ones.
         precision: ``(K, K)`` L; the others are independent of the moving ones.
+        behind: number of the last ones, which were put behind the others (``beside``).
     """
 
-    def __init__(self, response: Floats, offset: Floats, moving: int, precision: Floats | None = None) -> None:
-        self.response, self.offset, self.moving = response, offset, moving
+    def __init__(
+        self, response: Floats, offset: Floats, moving: int, precision: Floats | None = None, behind: int = 0
+    ) -> None:
+        self.response, self.offset, self.moving, self.behind = response, offset, moving, behind
         self.precision = np.eye(response.shape[1]) if precision is None else precision
         normal = response.T @ response + self.precision
         self._inverse = np.linalg.inv(normal)
         self._fixed = np.linalg.inv(normal[moving:, moving:])
 
     def moved(self, offset: Floats) -> Systematics:
-        """The same nuisances, standing elsewhere."""
+        """The same nuisances with the moving ones standing elsewhere; the others stay."""
         found = Systematics.__new__(Systematics)
-        found.response, found.offset, found.moving = self.response, offset, self.moving
+        found.response, found.moving, found.behind = self.response, self.moving, self.behind
+        found.offset = np.concatenate([offset, self.offset[self.moving :]])
         found.precision = self.precision
         found._inverse, found._fixed = self._inverse, self._fixed
         return found
+
+    def beside(self, columns: Floats) -> Systematics:
+        """These and, behind them, independent others of unit variance ``(C P, M)``, which no simulator moves."""
+        known, added = self.response.shape[1], columns.shape[1]
+        if not added:
+            return self
+        precision = np.eye(known + added)
+        precision[:known, :known] = self.precision
+        response = np.concatenate([self.response, columns], 1)
+        offset = np.concatenate([self.offset, np.zeros(added)])
+        return Systematics(response, offset, self.moving, precision, self.behind + added)
+
+    def without_behind(self) -> Systematics:
+        """These without the ones that were put behind them."""
+        kept = self.response.shape[1] - self.behind
+        return Systematics(self.response[:, :kept], self.offset[:kept], self.moving, self.precision[:kept, :kept])
 
     def __call__(self, vectors: Floats) -> Floats:
         """``(1 - G (G'G + L)^-1 G') y`` of vectors ``(..., C P)``."""

@@ -516,8 +516,9 @@ class LidarPatchyWeather(Effect):
     )
     after: ClassVar[str] = "to_energy"
     axes: ClassVar[tuple[str, ...]] = ("frame",)
-    # Not ``scatters``: the search takes what that does to each entry for scatter of its own, though one density moves
-    # them all together, and names it for what differs along the scan in all frames alike, as a ripple over the azimuth.
+    # Not ``scatters``: the search takes what that does to each entry for scatter of its own, and names it for what
+    # differs along the scan in all frames alike, as a ripple over the azimuth.
+    frame_density: ClassVar[str | None] = "log_std"
     of_the_air: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = ("air.density_scale", "returns.signal")
     writes: ClassVar[tuple[str, ...]] = ("air.density_scale",)
