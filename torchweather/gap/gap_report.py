@@ -228,6 +228,7 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
         "p_value": result.global_test.p_value,
         "clear_air": [vars(one) for one in result.clear],
         "unknown": None if unexplained is None else unexplained.to_dict(),
+        "closest": _closest(result),
         "candidates": _ranked(result.rounds[0], weights[0], result) if result.rounds else [],
         "added": [
             {"beside": _beside(round_), "candidates": _ranked(round_, weight, result)}
@@ -248,6 +249,13 @@ def gap_report(result: GapResult, study_sha256: str, seed: int) -> GapReport:
         tuple(_responses(result)),
         _residuals(result),
     )
+
+
+def _closest(result: GapResult) -> list[dict[str, Any]]:
+    """The best that the catalogue has, where that is not what is missing: effects with parameters; none elsewhere."""
+    if result.verdict != "unknown" or result.fit is None:
+        return []
+    return [{"name": name, "parameters": dict(values)} for name, values in result.fit.point.values.items()]
 
 
 def _ranked(candidates: Sequence[Candidate], weights: Sequence[float], result: GapResult) -> list[dict[str, Any]]:

@@ -438,7 +438,9 @@ def gap_sentence(answer: Mapping[str, Any]) -> str:
     if answer["verdict"] == "none":
         return f"Held-out conditions depart by {before} standard deviations; a perfect model scores {perfect}."
     if answer["verdict"] == "unknown":
-        text = f"Held-out conditions depart by {before} standard deviations, and by {after} with the best effects"
+        closest = listed([effect_name(one["name"]) for one in answer.get("closest", [])])
+        best = f"the best of the catalogue, {closest}" if closest else "the best effects"
+        text = f"Held-out conditions depart by {before} standard deviations, and by {after} with {best}"
     else:
         text = f"Held-out conditions depart by {before} standard deviations before and {after} after"
     left = excess_text(gap)

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.gap.linear_simulator import DIRECTIONS, LinearSimulator, effect, strength_of, unknown
+from tests.gap.linear_simulator import DIRECTIONS, SIZE, UNKNOWN, LinearSimulator, effect, strength_of, unknown
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
 from torchweather.gap.find import find_gap
+from torchweather.gap.gap_report import gap_report
 from torchweather.gap.inference import forward_selection
 from torchweather.gap.inference.candidate_fits import (
     Candidate,
@@ -483,6 +484,32 @@ def test_effects_that_leave_held_out_conditions_far_off_are_not_what_is_missing(
         _verdict(global_test(), left_by(210.0), replace(far, gap=200.0), HeldOut(12.0, 1.0, 0.05, 210.0, p_value=0.0))
         == "unknown"
     )
+
+
+@pytest.mark.parametrize(
+    ("hidden", "bins", "verdict"),
+    [
+        (((WINDOW, 2.0), (NOISE, 1.0), (EXTINCTION, 1.0)), UNKNOWN, "unknown"),
+        (((WINDOW, 2.0), (NOISE, 1.0), (EXTINCTION, 1.0)), DIRECTIONS[WINDOW][1], "named_and_rest"),
+        (((WINDOW, 2.0), (NOISE, 1.0)), UNKNOWN, "named_and_rest"),
+    ],
+    ids=["elsewhere", "form", "fewer effects"],
+)
+def test_as_many_effects_as_are_searched_for_are_no_answer_where_more_is_left_than_their_forms(
+    hidden: tuple[tuple[str, float], ...], bins: slice, verdict: str
+) -> None:
+    """A hundredth of the squares is left, some four floors: a tilt of the window's form, or another effect elsewhere.
+    Beside two effects that is a rest; three may only imitate together what is missing."""
+    tilt = np.zeros(SIZE)
+    tilt[bins] = np.linspace(-1.0, 1.0, bins.stop - bins.start)
+    tilt *= 25.0 / np.sqrt((tilt**2).sum())
+    result = searched(*hidden, unknown=tilt)
+    assert result.verdict == verdict
+    assert METHOD.residual_gap < result.after.gap / result.after.floor < METHOD.unexplained_gap
+    assert found_in(result) == pytest.approx(dict(hidden), rel=0.2)  # the tilt draws the extinction beside it along
+    answer = gap_report(result, "ab" * 32, 0).to_dict()
+    assert {one["name"] for one in answer["closest"]} == (set(dict(hidden)) if verdict == "unknown" else set())
+    assert {one["name"] for one in answer["effects"]} == (set() if verdict == "unknown" else set(dict(hidden)))
 
 
 def test_a_further_effect_helps_where_it_was_not_fitted() -> None:

@@ -179,12 +179,114 @@ MUTANTS = (
         "forms_taken_as_exact",
         "an added effect must explain more than errors of the form of those found",
         "torchweather.gap.inference.form_error",
-        "with_forms = _with(nuisance, columns)",
+        "with_forms = nuisance.beside(np.stack(columns, 1)) if columns else nuisance",
         "with_forms = nuisance",
         (
             (
                 "tests/gap/inference/test_form_error.py::"
                 "test_another_form_of_the_effect_is_explained_and_what_acts_elsewhere_is_not"
+            ),
+        ),
+    ),
+    Mutant(
+        "effects_fitted_as_if_their_form_were_exact",
+        "an effect beside which another is judged is fitted with the error of its form",
+        "torchweather.gap.inference.form_error",
+        "return min(wide, seen, key=lambda fit: fit.misfit)",
+        "return wide",
+        (
+            (
+                "tests/gap/inference/test_form_error.py::"
+                "test_a_form_that_is_wrong_drags_nothing_where_its_error_is_fitted_beside"
+            ),
+        ),
+    ),
+    Mutant(
+        "three_effects_named_whatever_they_leave",
+        "as many effects as are searched for are no name where more is left than their forms explain",
+        "torchweather.gap.inference.forward_selection",
+        "if best.held_fit is None or len(best.fit.point.values) < NUMERICS.max_effects:",
+        "if True:",
+        (
+            (
+                "tests/gap/inference/test_forward_selection.py::"
+                "test_as_many_effects_as_are_searched_for_are_no_answer_where_more_is_left_than_their_forms"
+            ),
+        ),
+    ),
+    Mutant(
+        "rest_of_three_effects_compared_with_exact_forms",
+        "what three effects leave is compared with the errors of their forms",
+        "torchweather.gap.inference.forward_selection",
+        "seen = held_out(held, beside_form_errors(held, best.held_fit, best.fit.point.values), seed)",
+        "seen = held_out(held, best.held_fit, seed)",
+        (
+            (
+                "tests/gap/inference/test_forward_selection.py::"
+                "test_as_many_effects_as_are_searched_for_are_no_answer_where_more_is_left_than_their_forms"
+            ),
+        ),
+    ),
+    Mutant(
+        "first_effects_left_where_they_were_fitted_first",
+        "first effects that a second one leads to more are fitted before it is judged",
+        "torchweather.gap.inference.forward_selection",
+        "if alone.misfit < best.fit.misfit - threshold:",
+        "if False:",
+        (
+            (
+                "tests/gap/inference/test_forward_selection.py::"
+                "test_first_effects_that_a_second_leads_to_more_are_fitted_before_it_is_judged"
+            ),
+        ),
+    ),
+    Mutant(
+        "density_of_few_frames_without_its_curvature",
+        "the densities of a few frames move a mean along its curvature as well",
+        "torchweather.gap.inference.frame_density",
+        "math.sqrt(0.5) * few * (high + low - 2.0 * middle)",
+        "0.0 * (high + low - 2.0 * middle)",
+        (("tests/gap/inference/test_frame_density.py::test_the_errors_of_a_mean_are_those_of_drawn_densities"),),
+    ),
+    Mutant(
+        "banks_as_noise_of_each_mean",
+        "what one density does to all means together is no noise of each",
+        "torchweather.gap.inference.frame_density",
+        "alone = np.where(layout.averages, least[name], np.where(counts, apart, own))",
+        "alone = own",
+        ("tests/gap/inference/test_frame_density.py::test_banks_widen_no_mean_and_are_a_nuisance",),
+    ),
+    Mutant(
+        "no_nuisance_for_the_density_of_few_frames",
+        "the mean of a few frames of different density is off as a record is",
+        "torchweather.gap.inference.likelihood",
+        "fixed += [self._column(base, {number: error}) for error in errors]",
+        "fixed += []",
+        ("tests/gap/inference/test_frame_density.py::test_banks_widen_no_mean_and_are_a_nuisance",),
+    ),
+    Mutant(
+        "differences_of_frames_with_a_normal_tail",
+        "a variance over a few frames has the far tail of chi-square",
+        "torchweather.gap.inference.calibrated_scatter",
+        "far = chi2.isf(METHOD.residual_p, max(number - 1, 1)) / max(number - 1, 1)",
+        "far = chi2.isf(0.01, max(number - 1, 1)) / max(number - 1, 1)",
+        (
+            (
+                "tests/gap/inference/test_calibrated_scatter.py::"
+                "test_a_difference_between_frames_is_as_unlikely_as_it_is_said"
+            ),
+        ),
+    ),
+    Mutant(
+        "clear_frames_alike_by_chance_believed",
+        "frames differ by the noise of their elements at least, however alike a few clear ones are",
+        "torchweather.gap.inference.calibrated_scatter",
+        "scatter = max(scatter, _by_elements(group.statistic, pool, number, elements))",
+        "scatter = max(scatter, 0.0)",
+        (
+            (
+                "tests/gap/inference/test_calibrated_scatter.py::"
+                "test_clear_frames_that_are_alike_by_chance_have_the_noise_of_their_elements"
             ),
         ),
     ),

@@ -52,7 +52,7 @@ class Candidate:
         id: of the effect.
         fit: with it and what was found before.
         gain: by which it lowers the misfit.
-        held: departure of the held-out conditions with it, where it was looked at.
+        held, held_fit: departure of the held-out conditions with it, and their nuisances, where they were looked at.
         with_forms: misfit where the forms of the other effects may be in error; ``None`` where there are no others.
     """
 
@@ -60,6 +60,7 @@ class Candidate:
     fit: Fit
     gain: float
     held: HeldOut | None = None
+    held_fit: Fit | None = None
     with_forms: float | None = None
 
     @property

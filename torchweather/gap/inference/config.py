@@ -131,6 +131,7 @@ class NumericalConfig:
     threshold_amplitude: float = 0.3  # of a response below which an effect with a threshold stays below it
     least_amplitude: float = 0.02  # of a response, at which a fit starts
     first_fit_steps: int = 2
+    fitted_better_share: float = 0.1  # of a misfit, by which effects are fitted better, from which a round begins again
     # Of a response, squared, that nuisances leave, below which they are fitted anew beside the effect; and where what
     # is left open stands ``far_sd`` off.
     shadowed_shares: tuple[float, float] = (0.1, 0.5)

@@ -77,11 +77,16 @@ def fitted_beside_form_errors(search: SimulatorLikelihood, wide: Fit, names: Col
         wide: of ``beside_form_errors``, to begin from.
         names: ids of the effects whose form may be another.
     """
-    found = search.fit(wide.point, wide.nuisance, wide.base, NUMERICS.first_fit_steps)
-    nuisance = found.nuisance.without_behind()
-    exact = search.misfit(found.residual, nuisance) - search.misfit(found.residual, found.nuisance)
-    seen = beside_form_errors(search, replace(found, nuisance=nuisance, misfit=found.misfit + exact), names)
-    return min(wide, seen, key=lambda fit: fit.misfit)
+    for _ in range(NUMERICS.reweightings):
+        found = search.fit(wide.point, wide.nuisance, wide.base)
+        nuisance = found.nuisance.without_behind()
+        exact = search.misfit(found.residual, nuisance) - search.misfit(found.residual, found.nuisance)
+        seen = beside_form_errors(search, replace(found, nuisance=nuisance, misfit=found.misfit + exact), names)
+        gained = wide.misfit - seen.misfit
+        wide = min(wide, seen, key=lambda fit: fit.misfit)
+        if gained < NUMERICS.converged_chi2:
+            break
+    return wide
 
 
 def form_columns(search: SimulatorLikelihood, share: float, change: list[Floats]) -> list[list[Floats]]:

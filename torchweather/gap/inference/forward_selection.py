@@ -141,6 +141,8 @@ def find_gap_with(
     rounds = _rounds(search, held, base, global_test, singles, progress)
     best, after = rounds[-1][0].fit, rounds[-1][0].held or before
     verdict = _verdict(global_test, best, before, after, _not_simulated(search, best))
+    if verdict in ("named", "named_and_rest") and _imitates(held, rounds[-1][0], seed):
+        verdict = "unknown"
     after = before if verdict == "none" else after  # nothing is added
     left = best.nuisance.left(best.residual)
     candidates = tuple(tuple(one) for one in rounds)
@@ -203,7 +205,7 @@ def _rounds(
         starts = (replace(held.origin, values=values), ParameterPoint(values, open=best.fit.point.open))
         profiled = min((held.profile(start) for start in starts), key=lambda fit: fit.misfit)
         after = held_out(held, profiled, search.seed)
-        rounds[-1][0] = best = replace(best, held=after)
+        rounds[-1][0] = best = replace(best, held=after, held_fit=profiled)
         earlier_held = rounds[-2][0].held if len(rounds) > 1 else None
         if earlier_held is not None and earlier_held.misfit - after.misfit < METHOD.held_gain:
             return rounds[:-1]
@@ -229,7 +231,7 @@ def _rounds(
         if proposed:
             more += _fitted_on_top(search, base, best, wide, seen, proposed, threshold, progress)
         kept, alone = _that_earn(search, best, wide, best_of_each_set(more), threshold)
-        if alone.misfit < best.fit.misfit - threshold:
+        if best.fit.misfit - alone.misfit > max(threshold, NUMERICS.fitted_better_share * best.fit.misfit):
             # Beside another effect they were led to where they explain more by themselves: the round begins again.
             progress("refining " + " and ".join(values))
             rounds[-1][0] = better = _fitted_better(search, best, alone)
@@ -428,6 +430,15 @@ def _verdict(
     if share > METHOD.unknown_share or far or (rest and over > METHOD.unexplained_share):
         return "unknown"
     return "named_and_rest" if rest or rest_share > METHOD.rest_share else "named"
+
+
+def _imitates(held: SimulatorLikelihood, best: Candidate, seed: int) -> bool:
+    """True where as many effects as are searched for leave held-out conditions that depart even if their forms are in
+    error, and not by chance: several effects together imitate what the catalogue does not have."""
+    if best.held_fit is None or len(best.fit.point.values) < NUMERICS.max_effects:
+        return False
+    seen = held_out(held, beside_form_errors(held, best.held_fit, best.fit.point.values), seed)
+    return seen.gap > METHOD.residual_gap * seen.floor and seen.p_value < METHOD.left_by_noise
 
 
 def _share_left(test: ResidualTest, left: Floats, explained: float) -> float:
