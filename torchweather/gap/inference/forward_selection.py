@@ -277,18 +277,19 @@ def _that_earn(
             continue
         others = [name for name in one.fit.point.values if name != one.id]
         seen = beside_form_errors(search, one.fit, others)
-        if wide.misfit - seen.misfit < threshold:
-            continue
-        if not wide_is_fitted:
-            wide, wide_is_fitted = fitted_beside_form_errors(search, wide, best.fit.point.values), True
-        misfit = fitted_beside_form_errors(search, seen, others).misfit
-        if wide.misfit - misfit < threshold:
+        earns = wide.misfit - seen.misfit >= threshold
+        if earns:
+            if not wide_is_fitted:
+                wide, wide_is_fitted = fitted_beside_form_errors(search, wide, best.fit.point.values), True
+            seen = fitted_beside_form_errors(search, seen, others)
+            earns = wide.misfit - seen.misfit >= threshold
+        if not earns and one.gain <= NUMERICS.fitted_better_share * best.fit.misfit:
             continue
         alone = search.fit(one.fit.point.without(one.id), one.fit.nuisance, one.fit.base)
         if set(others) == set(best.fit.point.values):
             others_alone = min(others_alone, alone, key=lambda fit: fit.misfit)
-        if alone.misfit - one.fit.misfit >= threshold * min(alone.misfit / best.fit.misfit, 1.0):
-            kept.append(replace(one, with_forms=misfit))
+        if earns and alone.misfit - one.fit.misfit >= threshold * min(alone.misfit / best.fit.misfit, 1.0):
+            kept.append(replace(one, with_forms=seen.misfit))
     kept.sort(key=lambda one: one.misfit)
     return [one for one in kept if one.misfit <= kept[0].misfit + NUMERICS.rival_chi2], others_alone
 
