@@ -679,6 +679,7 @@ def test_an_effect_that_there_is_not_is_refused_before_anything_is_simulated(stu
         (31.0, 460.0, (489.0, 460.0), 480.0, False),  # nor where the first one is fitted with that error
         (31.0, 460.0, (489.0, 458.0), 480.0, True),
         (31.0, 460.0, (500.0, 460.0), 420.0, False),  # the first one, fitted again, leaves as little
+        (60.0, 471.0, (500.0, 440.0), 420.0, False),  # that is looked at wherever a tenth is gained
     ],
 )
 def test_an_added_effect_must_gain_what_noise_seldom_does(
