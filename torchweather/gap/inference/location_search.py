@@ -45,11 +45,18 @@ def standing_grids(
         simulated = pools[target.condition.id].frames.maps[:, 0].mean(0)
         total += np.sqrt(measured + ANSCOMBE) - np.sqrt(simulated + ANSCOMBE)
     azimuth_rad, range_m = cells[int(total.argmax())]
+    widths, shares = NUMERICS.location_widths_rad, NUMERICS.location_range_shares
+    # A cell is wider than a thin thing: some models can say from the measured frames where in it that stands.
+    standing = getattr(search.model, "standing", None)
+    place = None if standing is None else standing(azimuth_rad, range_m)
+    if place is not None:
+        azimuth_rad, range_m, width_rad = place
+        widths, shares = (width_rad,), (1.0,)
     return [
         ParameterGrid(one, ({"azimuth_rad": azimuth_rad, "range_m": range_m * share, "width_rad": width},))
         for one in fitting
-        for width in NUMERICS.location_widths_rad
-        for share in NUMERICS.location_range_shares
+        for width in widths
+        for share in shares
     ]
 
 

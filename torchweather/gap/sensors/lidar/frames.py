@@ -25,6 +25,7 @@ from torchweather.gap.inference.effect_forms import searched_effects
 from torchweather.gap.sensors.lidar.forms import LIDAR_FORMS
 from torchweather.gap.sensors.lidar.reading_steps import in_steps
 from torchweather.gap.sensors.lidar.scene import LidarScene, lidar_scene
+from torchweather.gap.sensors.lidar.standing import place_of_standing
 from torchweather.gap.sensors.lidar.sums import LidarSums, lidar_layout, map_cells
 from torchweather.gap.sensors.lidar.systematics import (
     ClearScale,
@@ -106,8 +107,10 @@ class LidarFrames:
         self.clear_scale_sd = _clear_scale_sd(self.scenes)
         some = next(iter(self.scenes.values()))
         self.layout = lidar_layout(some.edges, with_intensity, int(some.stable.sum()))
-        azimuth = torch.atan2(self.direction[:, 1], self.direction[:, 0])
-        self._sums = {name: LidarSums(scene, self.layout, self.grid, azimuth) for name, scene in self.scenes.items()}
+        self.azimuth = torch.atan2(self.direction[:, 1], self.direction[:, 0])
+        self._sums = {
+            name: LidarSums(scene, self.layout, self.grid, self.azimuth) for name, scene in self.scenes.items()
+        }
         self.map_cells = map_cells()
         self.sizes: Mapping[str, float | Sequence[float]] = {
             "saturation": max(float(scene.intensity.max()) for scene in self.scenes.values())
@@ -121,13 +124,9 @@ class LidarFrames:
 
     def measured(self, condition: Condition) -> Reduced:
         """The condition's own frames."""
-        frames = [condition.frames[number] for number in range(len(condition.frames))]
-        range_m, intensity = (
-            torch.stack([torch.from_numpy(np.asarray(frame[name], dtype=np.float32)).reshape(-1) for frame in frames])
-            for name in ("range_m", "intensity")
-        )
+        range_m, intensity = (_stacked(condition, name) for name in ("range_m", "intensity"))
         # Compared with all clear frames but one, as simulated frames are.
-        row = torch.arange(len(frames)) % len(self.scenes[condition.scene].range_m)
+        row = torch.arange(len(range_m)) % len(self.scenes[condition.scene].range_m)
         return self.reduce(condition.scene, range_m, intensity, row)
 
     def clear(self, scene_id: str, portions: int = 1) -> Reduced:
@@ -135,6 +134,12 @@ class LidarFrames:
         scene = self.scenes[scene_id]
         written = in_steps(scene.intensity, scene.step)
         return self.reduce(scene_id, scene.range_m, written, torch.arange(len(scene.range_m)), portions)
+
+    def standing(self, azimuth_rad: float, range_m: float) -> tuple[float, float, float] | None:
+        """Azimuth, rad, range, m, and width, rad, of what stands near a place in the frames to be explained."""
+        frames = ((_stacked(one, "range_m"), self.scenes[one.scene].range_m) for one in self.fit if len(one.frames) > 1)
+        spacing_rad = 2.0 * math.pi / self.grid[1]
+        return place_of_standing(self.azimuth, spacing_rad, frames, azimuth_rad, range_m)
 
     def transform(self, condition: Condition) -> LidarWeather:
         """The ready-made chain of a condition's weather."""
@@ -343,6 +348,12 @@ class LidarFrames:
     def reduce(self, scene_id: str, range_m: Tensor, intensity: Tensor, row: Tensor, portions: int = 1) -> Reduced:
         """Sums of frames ``(F, N)`` of a scene; arguments as ``LidarSums``."""
         return self._sums[scene_id](range_m, intensity, row, portions)
+
+
+def _stacked(condition: Condition, name: str) -> Tensor:
+    """Readings ``(F, N)`` of a condition's frames."""
+    frames = [condition.frames[number] for number in range(len(condition.frames))]
+    return torch.stack([torch.from_numpy(np.asarray(frame[name], dtype=np.float32)).reshape(-1) for frame in frames])
 
 
 def _clear_scale_sd(scenes: Mapping[str, LidarScene]) -> dict[str, float]:
