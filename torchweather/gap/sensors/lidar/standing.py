@@ -1,4 +1,4 @@
-"""What stands in the measured frames and not in the clear ones: its azimuth, range and width, beam by beam.
+"""Azimuth, range and width of what stands in the measured frames and not in the clear ones, beam by beam.
 
 The map of returns has cells of 0.1 rad, in which several columns of beams lie. A thin thing stands in one of them.
 Particles return from a beam in one frame, what stands returns from the same beams in nearly all.
