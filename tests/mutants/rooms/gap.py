@@ -302,8 +302,8 @@ MUTANTS = (
         "a_poor_first_fit_is_a_merit_of_the_second",
         "an added effect gains over the others fitted again",
         "torchweather.gap.inference.forward_selection",
-        "if alone.misfit - one.fit.misfit >= threshold * min(alone.misfit / best.fit.misfit, 1.0):",
-        "if True:",
+        "if earns and alone.misfit - one.fit.misfit >= threshold * min(alone.misfit / best.fit.misfit, 1.0):",
+        "if earns:",
         (f"{SELECTION}::test_an_added_effect_must_gain_what_noise_seldom_does",),
     ),
     Mutant(
