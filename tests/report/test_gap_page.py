@@ -20,7 +20,7 @@ from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.all import EFFECTS
 from torchweather.report.gap_figures import curve_uri, residual_uri, response_uri
 from torchweather.report.gap_page import write_gap
-from torchweather.report.gap_words import exact_twins, group_name, parameter_rows, verdict_sentence
+from torchweather.report.gap_words import exact_twins, gap_sentence, group_name, parameter_rows, verdict_sentence
 
 VERDICTS = ("none", "named", "named_and_rest", "unknown")
 
@@ -116,6 +116,13 @@ def test_nothing_and_unknown_name_no_effect(study: Study) -> None:
     assert nowhere.startswith(
         "Something is missing that no effect of the catalogue explains. Held-out conditions depart by 2.13"
     )
+
+
+def test_unknown_says_what_the_catalogue_has_that_is_closest(study: Study) -> None:
+    closest = [{"name": name, "parameters": {}} for name in ("lidar.spray", "lidar.patchy_weather")]
+    words = gap_sentence(report("unknown", study, closest=closest).answer)
+    assert " and by 1.03 with the best of the catalogue, spray and patchy weather; a perfect model" in words
+    assert " and by 1.03 with the best effects; a perfect model" in gap_sentence(report("unknown", study).answer)
 
 
 def test_a_parameter_that_was_not_fitted_and_does_nothing_is_left_out(study: Study) -> None:

@@ -88,7 +88,9 @@ class FrameModel(Protocol):
 
     layout: Layout
     effects: list[Effect]  # that it has already
-    map_cells: list[tuple[float, float]]  # azimuth, rad, and range, m, of each cell of the map
+    # Azimuth, rad, and range, m, of each cell of the map. A model that has them may say by ``standing(azimuth_rad,
+    # range_m)`` where in and about one a thing stands in the measured frames: azimuth, range and width, or ``None``.
+    map_cells: list[tuple[float, float]]
     sizes: Mapping[str, float | Sequence[float]]  # as in candidates.lines
     open_shifts: AbstractSet[str]  # statistics whose even shift by the clear frames' own error is among what is open
 

@@ -8,7 +8,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.gap.tiny_study import tiny_study
+from torchweather.atmosphere.weather import Snow
+from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.location_search import standing_grids
+from torchweather.gap.inference.simulated_distribution import observations
+from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.sensors.lidar.standing import place_of_standing
+from torchweather.lidar.effects.all import EFFECTS
 
 ROWS, COLUMNS, FRAMES = 16, 256, 6
 SPACING = 2.0 * math.pi / COLUMNS
@@ -48,3 +55,20 @@ def test_nothing_stands_where_flakes_fall_or_the_clear_frames_have_it() -> None:
     assert place_of_standing(AZIMUTH, SPACING, [(measured, clear)], 0.0, 9.0) is None
     measured, _ = frames(120, 130)
     assert place_of_standing(AZIMUTH, SPACING, [(measured, measured[:4])], 125 * SPACING - math.pi, 9.0) is None
+
+
+def test_what_reaches_farther_than_is_looked_has_no_place() -> None:
+    """A wall of 40 columns, 1 rad: its middle is not known from 0.2 rad to either side."""
+    assert place_of_standing(AZIMUTH, SPACING, [frames(100, 140)], 100 * SPACING - math.pi, 9.0) is None
+
+
+def test_a_thing_is_looked_for_from_where_it_stands_in_the_frames() -> None:
+    """One column of a study, 0.03 rad beside the middle of its cell; one grid, with the column's own width."""
+    post = EFFECTS["lidar.static_structure"](azimuth_rad=-2.258, range_m=8.0, width_rad=0.02)
+    study = tiny_study([post], seed=2, rows=16, columns=256, clear=4, weathers=(Snow(2.0), Snow(1.2)))
+    search = SimulatorLikelihood(model := LidarFrames(study), observations(model, study.fit), 0, pool_frames=12)
+    (grid,) = standing_grids(search, [EFFECTS["lidar.static_structure"]], ParameterPoint())
+    (values,) = grid.points
+    assert values["azimuth_rad"] == pytest.approx(-2.258, abs=1e-3)
+    assert values["range_m"] == pytest.approx(8.0, rel=0.02)
+    assert values["width_rad"] == pytest.approx(SPACING, rel=1e-3)

@@ -61,6 +61,7 @@ GAIN_SD = 0.02
 FOG_GAIN_SD = 0.1
 FOG_MISPLACED = 0.03  # of the returns of fog: how far down its peak a noisy waveform is read, order of magnitude
 FOG_RANGE_SHARE = 0.1  # of the pulse length, by which receivers differ in where they see fog; order of magnitude
+LEAST_SPACING_RAD = 1e-3  # of columns of beams, to which a place in azimuth is told
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
 PARTICLE_GAINS = (1.0, 1.25, 2.0, 4.0, 16.0)  # factors by which effects may brighten particles, rounded up
 
@@ -138,8 +139,9 @@ class LidarFrames:
     def standing(self, azimuth_rad: float, range_m: float) -> tuple[float, float, float] | None:
         """Azimuth, rad, range, m, and width, rad, of what stands near a place in the frames to be explained."""
         frames = ((_stacked(one, "range_m"), self.scenes[one.scene].range_m) for one in self.fit if len(one.frames) > 1)
-        spacing_rad = 2.0 * math.pi / self.grid[1]
-        return place_of_standing(self.azimuth, spacing_rad, frames, azimuth_rad, range_m)
+        return place_of_standing(
+            self.azimuth, _spacing_rad(self.azimuth.reshape(self.grid)), frames, azimuth_rad, range_m
+        )
 
     def transform(self, condition: Condition) -> LidarWeather:
         """The ready-made chain of a condition's weather."""
@@ -348,6 +350,17 @@ class LidarFrames:
     def reduce(self, scene_id: str, range_m: Tensor, intensity: Tensor, row: Tensor, portions: int = 1) -> Reduced:
         """Sums of frames ``(F, N)`` of a scene; arguments as ``LidarSums``."""
         return self._sums[scene_id](range_m, intensity, row, portions)
+
+
+def _spacing_rad(azimuth_rad: Tensor) -> float:
+    """Median distance of neighbouring columns of beams ``(H, W)``; a milliradian at least.
+
+    Example:
+        >>> round(_spacing_rad(torch.tensor([[3.1, -3.1, -3.017, -2.934]])), 3)  # across half a turn
+        0.083
+    """
+    apart = torch.remainder(azimuth_rad.diff(dim=-1) + math.pi, 2.0 * math.pi) - math.pi
+    return max(float(apart.abs().median()), LEAST_SPACING_RAD) if apart.numel() else 2.0 * math.pi
 
 
 def _stacked(condition: Condition, name: str) -> Tensor:
