@@ -731,9 +731,35 @@ def test_added_effects_are_compared_where_the_forms_of_the_others_may_be_in_erro
     monkeypatch.setattr(forward_selection, "fitted_beside_form_errors", lambda search, wide, names: wide)
     best = Candidate("lidar.window_loss", fit_of({"lidar.window_loss": {}}, 500.0), 300.0)
     added = [Candidate(one, fit_of({one: {}}, exact[one]), 500.0 - exact[one]) for one in names]
-    search: Any = SimpleNamespace(fit=lambda *given: fit_of({}, 500.0))
+    search: Any = SimpleNamespace(fit=lambda *given: fit_of({}, 500.0), promised=lambda fit: 0.0)
     found, _ = _that_earn(search, best, fit_of({}, 500.0), added, 30.0)
     assert [one.id for one in found] == ["lidar.spray", "lidar.crosstalk"]  # the last one is far behind
+
+
+@pytest.mark.parametrize(("off", "refitted"), [(0.0, True), (NUMERICS.rival_chi2 + 1.0, False)])
+def test_what_would_lie_far_behind_is_not_fitted_beside_the_errors_of_forms(
+    off: float, refitted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two that add to the same, the second is seen 3,000 worse, and may make that good where its first is fitted:
+    that is decided by what a linear simulator would leave, not by what it leaves before."""
+    seen = {"lidar.spray": 390.0, "lidar.ring_gain": 3390.0}
+    asked: list[str] = []
+
+    def fitted(search: Any, wide: Any, names: Any) -> Any:
+        asked.extend(wide.point.values)
+        return wide
+
+    monkeypatch.setattr(
+        forward_selection,
+        "beside_form_errors",
+        lambda search, fit, others: fit_of(fit.point.values, seen[next(iter(fit.point.values))]),
+    )
+    monkeypatch.setattr(forward_selection, "fitted_beside_form_errors", fitted)
+    best = Candidate("lidar.window_loss", fit_of({"lidar.window_loss": {}}, 5000.0), 300.0)
+    added = [Candidate(one, fit_of({one: {}}, 350.0), 4650.0) for one in seen]
+    search: Any = SimpleNamespace(fit=lambda *given: fit_of({}, 5000.0), promised=lambda fit: 390.0 + off)
+    _that_earn(search, best, fit_of({"lidar.window_loss": {}}, 5000.0), added, 30.0)
+    assert asked == ["lidar.window_loss", "lidar.spray"] + ["lidar.ring_gain"] * refitted
 
 
 def test_first_effects_that_a_second_leads_to_more_are_fitted_before_it_is_judged(

@@ -399,6 +399,20 @@ def test_steps_of_a_fit_leave_a_thing_where_the_map_has_it(null: SimulatorLikeli
     assert [low == high == 0.0 for low, high in zip(limits.low, limits.high, strict=True)] == [True, False, False]
 
 
+def test_what_a_fit_promises_is_about_what_it_leaves() -> None:
+    """A window is nearly linear in decibels; the promise goes past the size of one step, here of 4 dB."""
+    search = search_of(small([EFFECTS["lidar.window_loss"](loss_db=9.0)], seed=1))
+    base = search.begin()
+    start = search.fit(ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}}), base.nuisance, base.base, 0)
+    end = search.fit(start.point, start.nuisance, start.base)
+    promised = search.promised(start)
+    assert promised < start.misfit
+    assert promised == pytest.approx(end.misfit, abs=0.2 * (start.misfit - end.misfit))
+    one_step, _ = search._step(start.point, start.names, start.residual, start.nuisance, start.base)
+    gained = search.misfit(start.residual, start.nuisance) - one_step.misfit
+    assert start.misfit - promised > 1.1 * gained
+
+
 def test_no_fit_ends_worse_than_it_began(null: SimulatorLikelihood, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a step leads to, the scatter may be another: what was gained on the way is not gained there."""
     start = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})

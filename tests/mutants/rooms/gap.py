@@ -202,6 +202,27 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "promise_of_one_step",
+        "what a fit promises goes as far as the bounds of its parameters",
+        "torchweather.gap.inference.likelihood",
+        "fit.nuisance, fit.base, math.inf)",
+        "fit.nuisance, fit.base)",
+        (("tests/gap/inference/test_likelihood.py::test_what_a_fit_promises_is_about_what_it_leaves"),),
+    ),
+    Mutant(
+        "rivals_left_out_by_what_they_leave_before_a_fit",
+        "which rivals are fitted beside errors of forms follows from what they would leave behind it",
+        "torchweather.gap.inference.forward_selection",
+        "if kept and search.promised(seen) >",
+        "if kept and seen.misfit >",
+        (
+            (
+                "tests/gap/inference/test_forward_selection.py::"
+                "test_what_would_lie_far_behind_is_not_fitted_beside_the_errors_of_forms"
+            ),
+        ),
+    ),
+    Mutant(
         "three_effects_named_whatever_they_leave",
         "as many effects as are searched for are no name where more is left than their forms explain",
         "torchweather.gap.inference.forward_selection",
@@ -1017,8 +1038,8 @@ MUTANTS = (
         "things_moved_within_their_bin",
         "steps of a fit leave the azimuth of a thing where the map has it",
         "torchweather.gap.inference.likelihood",
-        "farthest = np.where(stays, 0.0, 2.0",
-        "farthest = np.where(stays, 2.0, 2.0",
+        "farthest = np.where(stays, 0.0, sizes",
+        "farthest = np.where(stays, sizes, sizes",
         ("tests/gap/inference/test_likelihood.py::test_steps_of_a_fit_leave_a_thing_where_the_map_has_it",),
     ),
 )

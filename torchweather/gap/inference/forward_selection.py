@@ -258,7 +258,8 @@ def _that_earn(
 
     An effect must gain more than noise does, also where the forms of the others are in error: another form of the first
     effect than its stage's is patched a little by many. And over the others fitted again from where they stand beside
-    it: a first effect that was not at its best yet is no merit of the second.
+    it: a first effect that was not at its best yet is no merit of the second. Where one earns its place, no other is
+    fitted that would lie far behind it if the simulator were linear.
 
     Args:
         search: its simulator.
@@ -277,6 +278,8 @@ def _that_earn(
             continue
         others = [name for name in one.fit.point.values if name != one.id]
         seen = beside_form_errors(search, one.fit, others)
+        if kept and search.promised(seen) > min(one.misfit for one in kept) + NUMERICS.rival_chi2:
+            continue
         earns = wide.misfit - seen.misfit >= threshold
         if earns:
             if not wide_is_fitted:

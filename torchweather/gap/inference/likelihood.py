@@ -604,12 +604,7 @@ class SimulatorLikelihood:
             base: scatter that the steps are weighed with; the final misfit has that of the fitted point.
             iterations: at most; a step that does not help is shortened.
         """
-        names = [
-            (effect, parameter.name)
-            for effect, values in start.values.items()
-            for parameter in effect_class(self.model, effect).arguments
-            if math.isfinite(values[parameter.name])
-        ]
+        names = self._fitted_names(start)
         point = start
         mean = self.mean(point)
         here = self._nuisance_at(point, nuisance, base)
@@ -619,13 +614,7 @@ class SimulatorLikelihood:
         covariance: Floats = np.zeros((len(names), len(names)))
         renewed = False
         for _ in range(iterations):
-            near = self.mean(point, NUMERICS.screen_frames)
-            jacobian = np.stack([self._derivative(point, name, near, base) for name in names], 1)
-            projected = here(jacobian.T).T
-            normal = jacobian.T @ projected
-            ridge = 1e-3 * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(names))
-            best = self._bounded(residual, here, jacobian, self._limits(point, names), np.sqrt(np.diag(ridge)))
-            covariance = np.asarray(np.linalg.pinv(normal + 1e-9 * np.eye(len(names))), dtype=np.float64)
+            best, covariance = self._step(point, names, residual, here, base)
             found = self._along(point, names, best, cost, base, here)
             gained = 0.0
             if found is not None:
@@ -647,6 +636,42 @@ class SimulatorLikelihood:
         # The scatter of where a step leads to is not known on the way: no fit ends worse than where it began.
         beginning = self._fit_at(start, nuisance, base, covariance, names)
         return min(end, beginning, key=lambda one: one.misfit)
+
+    def promised(self, fit: Fit) -> float:
+        """Misfit that a fit from here would leave if the simulator were linear as far as the bounds of parameters."""
+        names = self._fitted_names(fit.point)
+        step, _ = self._step(fit.point, names, fit.residual, fit.nuisance, fit.base, math.inf)
+        return fit.misfit - max(self.misfit(fit.residual, fit.nuisance) - step.misfit, 0.0)
+
+    def _fitted_names(self, point: ParameterPoint) -> list[tuple[str, str]]:
+        """(Effect, parameter) of all that a fit moves."""
+        return [
+            (effect, parameter.name)
+            for effect, values in point.values.items()
+            for parameter in effect_class(self.model, effect).arguments
+            if math.isfinite(values[parameter.name])
+        ]
+
+    def _step(
+        self,
+        point: ParameterPoint,
+        names: Sequence[tuple[str, str]],
+        residual: Floats,
+        nuisance: Systematics,
+        base: SimulatedDistribution,
+        sizes: float = 2.0,
+    ) -> tuple[BoundedStep, Floats]:
+        """Step of Gauss and Newton from a point, and the covariance ``(K, K)`` of its parameters.
+
+        No parameter is moved by more than so many typical ``sizes`` of it.
+        """
+        near = self.mean(point, NUMERICS.screen_frames)
+        jacobian = np.stack([self._derivative(point, name, near, base) for name in names], 1)
+        normal = jacobian.T @ nuisance(jacobian.T).T
+        ridge = 1e-3 * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(names))
+        step = self._bounded(residual, nuisance, jacobian, self._limits(point, names, sizes), np.sqrt(np.diag(ridge)))
+        covariance = np.asarray(np.linalg.pinv(normal + 1e-9 * np.eye(len(names))), dtype=np.float64)
+        return step, covariance
 
     def _fit_at(
         self,
@@ -713,8 +738,8 @@ class SimulatorLikelihood:
             best, longer = found, 2.0 * longer
         return best
 
-    def _limits(self, point: ParameterPoint, names: Sequence[tuple[str, str]]) -> Bounds:
-        """Changes that parameters may make at once: within their bounds, at most twice the typical size.
+    def _limits(self, point: ParameterPoint, names: Sequence[tuple[str, str]], sizes: float = 2.0) -> Bounds:
+        """Changes that parameters may make at once: within their bounds, at most so many typical sizes.
 
         The azimuth of what stands somewhere stays: the vector does not tell in which part of a bin it is, the map did
         (``location_search.py``).
@@ -728,7 +753,7 @@ class SimulatorLikelihood:
             parameter == "azimuth_rad" and stands_at_a_place(effect_class(self.model, effect))
             for effect, parameter in names
         ]
-        farthest = np.where(stays, 0.0, 2.0 * np.array([one.scale for one in declared]))
+        farthest = np.where(stays, 0.0, sizes * np.array([one.scale for one in declared]))
         low, high = (np.array([getattr(one, end) for one in declared]) - values for end in ("low", "high"))
         return Bounds(np.minimum(np.maximum(low, -farthest), 0.0), np.maximum(np.minimum(high, farthest), 0.0))
 
