@@ -24,7 +24,7 @@ from torchweather.gap.inference.candidate_fits import Candidate
 from torchweather.gap.inference.clear_air import ClearAir
 from torchweather.gap.inference.empirical_fit import Departures
 from torchweather.gap.inference.held_out import HeldOut
-from torchweather.gap.inference.likelihood import ParameterPoint
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.simulated_distribution import Observation, SimulatedDistribution, Whitening
 from torchweather.gap.inference.unknown import log_chance, without_means
 from torchweather.gap.model_file import Additions

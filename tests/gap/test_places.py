@@ -15,7 +15,7 @@ from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Rain
 from torchweather.camera.effects.all import EFFECTS
 from torchweather.gap.find import CELLS, MODELS
-from torchweather.gap.inference.likelihood import ParameterPoint
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.natural_units import natural_unit
 from torchweather.gap.places import DEPARTS, CellValues, mean_over_frames, places_of
 from torchweather.gap.study.study import Study

@@ -18,7 +18,8 @@ from torchweather.gap.inference.candidate_fits import Candidate
 from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.forward_selection import GapResult
 from torchweather.gap.inference.held_out import excess_left
-from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.profiled_conditions import Fit
 from torchweather.gap.inference.simulated_distribution import Observation, SimulatedDistribution
 from torchweather.gap.inference.unknown import unknown
 from torchweather.gap.model_file import Additions, read_model, write_model

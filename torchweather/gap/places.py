@@ -15,7 +15,7 @@ from scipy.stats import norm as normal
 from scipy.stats import t as student
 
 from torchweather.gap.inference.forward_selection import GapResult
-from torchweather.gap.inference.likelihood import ParameterPoint
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.study.conditions import Condition
 from torchweather.pipeline.effect import Effect
 

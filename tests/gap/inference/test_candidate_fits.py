@@ -16,8 +16,8 @@ from torchweather.gap.inference.candidate_fits import (
     refined,
 )
 from torchweather.gap.inference.config import NUMERICS
-from torchweather.gap.inference.likelihood import ParameterPoint
 from torchweather.gap.inference.response_templates import ResponseTemplate
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
 from torchweather.gap.inference.systematics import Bounds, Systematics
 from torchweather.lidar.effects.all import EFFECTS

@@ -13,7 +13,9 @@ from tests.gap.linear_simulator import BINS, DIRECTIONS, LinearSimulator, effect
 from torchweather.gap.inference import form_error
 from torchweather.gap.inference.config import METHOD
 from torchweather.gap.inference.form_error import beside_form_errors, fitted_beside_form_errors, form_columns
-from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.profiled_conditions import Fit
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.statistics.frame_statistics import Group, Layout
 

@@ -39,9 +39,10 @@ from torchweather.gap.inference.forward_selection import (
 )
 from torchweather.gap.inference.global_test import _tail, located_templates, run_global_test
 from torchweather.gap.inference.held_out import HeldOut
-from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
 from torchweather.gap.inference.residual_tests import ResidualTest
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
 from torchweather.gap.inference.systematics import BoundedStep, Systematics

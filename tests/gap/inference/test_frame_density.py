@@ -7,7 +7,8 @@ import pytest
 
 from tests.gap.inference.test_likelihood import search_of, small
 from torchweather.gap.inference.frame_density import density_errors, log_density_sd
-from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.lidar.effects.all import EFFECTS
 
 BANKS, FRAMES = "lidar.patchy_weather", 6

@@ -18,8 +18,10 @@ from torchweather.atmosphere.weather import Snow
 from torchweather.gap.inference.config import METHOD, NUMERICS, SCATTER
 from torchweather.gap.inference.forward_selection import find_gap_with
 from torchweather.gap.inference.global_test import run_global_test
-from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood, _portions
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
 from torchweather.gap.inference.location_search import located
+from torchweather.gap.inference.profiled_conditions import Fit
+from torchweather.gap.inference.simulated_conditions import ParameterPoint, _portions
 from torchweather.gap.inference.simulated_distribution import observations, simulated_distribution
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
 from torchweather.gap.sensors.lidar.frames import LidarFrames
@@ -117,7 +119,7 @@ def test_the_order_in_which_conditions_are_done_changes_nothing(monkeypatch: pyt
     search = search_of(tiny_study(rows=8, columns=32, weathers=(Snow(2.0), Snow(1.0), Snow(1.2))))
     point = ParameterPoint({"lidar.window_loss": {"loss_db": 1.0}})
     before = search.at(point)
-    module = "torchweather.gap.inference.likelihood.side_by_side"
+    module = "torchweather.gap.inference.simulated_conditions.side_by_side"
     monkeypatch.setattr(module, lambda tasks: [task() for task in reversed(tasks)])
     after = search.at(point)
     assert list(after.sd) == list(before.sd)

@@ -15,7 +15,8 @@ import pytest
 from scipy import stats
 
 from torchweather.gap.inference.config import NUMERICS, SCATTER
-from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.simulated_distribution import Observation, SimulatedDistribution, Whitening
 from torchweather.gap.sensors.lidar.sums import lidar_layout
 from torchweather.gap.statistics.frame_random_effects import (

@@ -122,7 +122,7 @@ MUTANTS = (
     Mutant(
         "responses_never_kept",
         "responses to nuisances are kept beside a weak effect while steps gain what they promise",
-        "torchweather.gap.inference.likelihood",
+        "torchweather.gap.inference.profiled_conditions",
         "if gained < kept_while_gained * promised:",
         "if gained < math.inf:",
         ("tests/gap/inference/test_likelihood.py::test_responses_are_kept_while_steps_gain_what_they_promise",),
@@ -130,7 +130,7 @@ MUTANTS = (
     Mutant(
         "no_intensity_between_places_of_the_grid",
         "the weather's intensity is looked for between the places of a grid before a first step",
-        "torchweather.gap.inference.likelihood",
+        "torchweather.gap.inference.profiled_conditions",
         "for sign in (-1.0, 1.0):",
         "for sign in ():",
         ("tests/gap/inference/test_likelihood.py::test_a_record_that_is_far_off_is_first_looked_for_on_a_grid",),
@@ -314,7 +314,7 @@ MUTANTS = (
     Mutant(
         "no_nuisance_for_the_density_of_few_frames",
         "the mean of a few frames of different density is off as a record is",
-        "torchweather.gap.inference.likelihood",
+        "torchweather.gap.inference.profiled_conditions",
         "fixed += [self._column(base, {number: error}) for error in errors]",
         "fixed += []",
         ("tests/gap/inference/test_frame_density.py::test_banks_widen_no_mean_and_are_a_nuisance",),
@@ -486,7 +486,7 @@ MUTANTS = (
     Mutant(
         "steps_never_doubled",
         "a step is doubled where the least of the parabola lies beyond it",
-        "torchweather.gap.inference.likelihood",
+        "torchweather.gap.inference.profiled_conditions",
         "cost - best[0] < NUMERICS.doubled_from * (cost - step.misfit)",
         "cost > best[0]",
         (f"{SELECTION}::test_a_step_is_doubled_only_where_the_least_lies_beyond_it",),
@@ -510,7 +510,7 @@ MUTANTS = (
     Mutant(
         "kept_frames_without_what_is_open",
         "frames that are kept are told apart by what the model leaves open",
-        "torchweather.gap.inference.likelihood",
+        "torchweather.gap.inference.simulated_conditions",
         "(values, log_intensity, strengths, alike)",
         "(values, log_intensity, alike)",
         ("tests/gap/inference/test_likelihood.py::test_a_point_that_was_simulated_is_not_simulated_again",),
@@ -703,7 +703,7 @@ MUTANTS = (
     Mutant(
         "likelihood_without_variance_term",
         "a likelihood charges wider scatter by its logarithm",
-        "torchweather.gap.inference.likelihood",
+        "torchweather.gap.inference.profiled_conditions",
         "total += 2.0 * float(np.log(wider[used]).sum())",
         "total += 0.0 * float(np.log(wider[used]).sum())",
         (
@@ -772,7 +772,7 @@ MUTANTS = (
     Mutant(
         "nulls_of_counts_are_normal",
         "the own noise of nulls is that of simulated frames",
-        "torchweather.gap.inference.likelihood",
+        "torchweather.gap.inference.simulated_conditions",
         "elements = self.model.layout.by_elements",
         "elements = np.ones(self.model.layout.size, dtype=bool)",
         ("tests/gap/inference/test_likelihood.py::test_null_residuals_of_counts_go_together",),
@@ -830,7 +830,7 @@ MUTANTS = (
     Mutant(
         "as_many_portions_whatever_the_clear_frames",
         "the fewer clear frames, the more portions: correlations of many entries need a thousand of them",
-        "torchweather.gap.inference.likelihood",
+        "torchweather.gap.inference.simulated_conditions",
         "max(NUMERICS.portioned_frames / max(clear, 1), 1.0)",
         "1.0",
         ("tests/gap/inference/test_likelihood.py::test_few_clear_frames_have_more_portions",),
@@ -870,7 +870,7 @@ MUTANTS = (
     Mutant(
         "draws_follow_the_thread_that_is_done_first",
         "the same seed gives the same search however conditions are scheduled",
-        "torchweather.gap.inference.likelihood",
+        "torchweather.gap.inference.simulated_conditions",
         "return {name: found[name] for name in self._names}",
         "return found",
         ("tests/gap/inference/test_likelihood.py::test_the_order_in_which_conditions_are_done_changes_nothing",),

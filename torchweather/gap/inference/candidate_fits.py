@@ -17,9 +17,11 @@ from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.effect_forms import is_another
 from torchweather.gap.inference.effect_sets import best_effect_pairs, best_single_effects
 from torchweather.gap.inference.held_out import HeldOut
-from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
 from torchweather.gap.inference.location_search import located
+from torchweather.gap.inference.profiled_conditions import Fit
 from torchweather.gap.inference.response_templates import ResponseTemplate, amplitudes, delta_chi2
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.starting_points import parameter_grids
 from torchweather.gap.inference.systematics import Bounds, Systematics
 

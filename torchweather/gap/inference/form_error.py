@@ -24,7 +24,8 @@ from numpy.polynomial.legendre import legval
 from numpy.typing import NDArray
 
 from torchweather.gap.inference.config import METHOD, NUMERICS
-from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.profiled_conditions import Fit
 
 __all__ = ["beside_form_errors", "fitted_beside_form_errors", "form_columns"]
 

@@ -40,9 +40,11 @@ from torchweather.gap.inference.effect_forms import effect_class
 from torchweather.gap.inference.form_error import beside_form_errors, fitted_beside_form_errors
 from torchweather.gap.inference.global_test import GlobalTest, counted_entries, located_templates, run_global_test
 from torchweather.gap.inference.held_out import HeldOut, excess_left, held_out
-from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.profiled_conditions import Fit
 from torchweather.gap.inference.residual_tests import ResidualTest
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.simulated_distribution import FrameModel, observations
 
 __all__ = ["GapResult", "find_gap_with"]

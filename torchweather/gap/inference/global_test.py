@@ -19,8 +19,9 @@ from torchweather.gap.inference.degrees_of_freedom import (
     as_of_known_noise,
     beyond_known_noise,
 )
-from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
 from torchweather.gap.inference.location_search import standing_grids
+from torchweather.gap.inference.profiled_conditions import Fit
 from torchweather.gap.inference.residual_tests import ResidualTest, residual_test
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
 from torchweather.gap.inference.simulated_distribution import SimulatedDistribution

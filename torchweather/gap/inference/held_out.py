@@ -13,7 +13,8 @@ import numpy as np
 
 from torchweather.gap.inference.config import METHOD, NUMERICS
 from torchweather.gap.inference.global_test import expected_square
-from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.profiled_conditions import Fit
 from torchweather.gap.inference.residual_tests import residual_test
 
 __all__ = ["HeldOut", "excess_left", "held_out"]

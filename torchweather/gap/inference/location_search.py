@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from torchweather.gap.inference.config import NUMERICS
 from torchweather.gap.inference.effect_forms import effect_class, stands_at_a_place
-from torchweather.gap.inference.likelihood import Fit, ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.profiled_conditions import Fit
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.starting_points import ParameterGrid
 from torchweather.pipeline.effect import Effect
 

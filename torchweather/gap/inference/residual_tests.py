@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
 from torchweather.gap.inference.config import SCATTER
-from torchweather.gap.inference.likelihood import Fit, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.profiled_conditions import Fit
 
 __all__ = ["ResidualTest", "residual_test"]
 

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from tests.gap.tiny_study import tiny_study
 from torchweather.atmosphere.weather import Snow
-from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
 from torchweather.gap.inference.location_search import standing_grids
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.sensors.lidar.standing import place_of_standing

@@ -18,7 +18,8 @@ from torchweather.core.errors import TorchweatherError
 from torchweather.gap import Study, find_gap
 from torchweather.gap.gap_report import GapReport
 from torchweather.gap.inference.effect_forms import is_another, tried_values
-from torchweather.gap.inference.likelihood import ParameterPoint, SimulatorLikelihood
+from torchweather.gap.inference.likelihood import SimulatorLikelihood
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.simulated_distribution import observations
 from torchweather.gap.sensors.radar.fading import FADING_SPREAD_DB, chance_of_fading, shares_by_class
 from torchweather.gap.sensors.radar.forms import MOST_STRUCK, multipath_form, wet_rcs_form
