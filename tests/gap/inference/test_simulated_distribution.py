@@ -271,6 +271,37 @@ def test_of_correlations_that_few_portions_tell_each_group_is_left_one(study: St
     assert as_told[-1] < 0.8
 
 
+def test_elements_that_are_measured_again_are_no_sample_of_others(study: Study) -> None:
+    """96 targets along three axes, half of them 3 times as noisy: what is measured has the same ones, with new noise.
+    Each tenth of the targets tells of noise that no other has, so folds are made of targets and frames together."""
+    targets, rng = 96, RNG(11)
+    groups = (12, 12, 4)
+    layout = Layout(
+        tuple(Group(f"g{n}", "x", "mean", tuple(range(bins + 1))) for n, bins in enumerate(groups)), (), (), ()
+    )
+    where = np.concatenate([np.eye(bins)[rng.integers(0, bins, targets)] for bins in groups], 1)
+    sd = np.where(rng.random(targets) < 0.5, 3.0, 1.0)
+    aim = Observation(
+        replace(study.conditions[0], time_s=None), np.zeros(layout.size), np.ones(layout.size, bool), 5, clear_frames=8
+    )
+    mean_of = where / where.sum(0)
+    scatter = np.sqrt(((sd[:, None] * mean_of) ** 2).sum(0))
+
+    def squares() -> Any:
+        noise_of_targets = sd[:, None] * rng.normal(size=(NUMERICS.portioned_frames, targets, 1))
+        weight = np.tile(where, (NUMERICS.portioned_frames, 1))
+        nothing = np.zeros((len(weight), 0)), np.zeros((len(weight), 0, 1))
+        reduced = Reduced(weight, weight * noise_of_targets.reshape(-1, 1), weight, *nothing)
+        noise = element_noise({aim.condition.id: Pool(layout, reduced)}, [aim], targets)
+        events = EventsAlongAxes(np.eye(layout.size), np.zeros(layout.size))
+        whitening = Whitening.of(noise, {aim.condition.id: noise.scatter[aim.condition.id]}, events, layout)
+        fresh = (sd * rng.normal(size=(2000, targets))) @ mean_of / scatter
+        return [float((whitening(fresh)[:, part] ** 2).mean()) for part in layout.slices]
+
+    # Ten studies, in each of which a group's mean square is told to 5 %: 1.6 % for their mean, four times that.
+    np.testing.assert_allclose(np.mean([squares() for _ in range(10)], 0), 1.0, atol=0.065)
+
+
 def test_the_noise_of_the_elements_is_that_of_the_mean_of_independent_ones(study: Study) -> None:
     """Element noise with known sd and correlation: x in three bins, 0.6 x + 0.8 y in the other three."""
     elements, number = 64, 5

@@ -1011,6 +1011,19 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "elements_as_a_sample_of_others",
+        "folds are made of portions and frames together: the same elements are measured again",
+        "torchweather.gap.inference.simulated_distribution",
+        "if independent >= SCATTER.few_degrees else",
+        "if False else",
+        (
+            (
+                "tests/gap/inference/test_simulated_distribution.py::"
+                "test_elements_that_are_measured_again_are_no_sample_of_others"
+            ),
+        ),
+    ),
+    Mutant(
         "effects_that_do_nothing_named",
         "an effect that was led to its identity is none",
         "torchweather.gap.inference.forward_selection",
