@@ -1024,6 +1024,19 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "ghost_of_any_target_near",
+        "a further detection is held against the nearest target in direction and speed",
+        "torchweather.gap.sensors.radar.sums",
+        "np.lexsort((target[near], off[near], further[near]))",
+        "np.lexsort((target[near], further[near]))",
+        (
+            (
+                "tests/gap/sensors/radar/test_radar_frames.py::"
+                "test_a_ghost_is_held_against_the_nearest_target_in_direction_and_speed"
+            ),
+        ),
+    ),
+    Mutant(
         "effects_that_do_nothing_named",
         "an effect that was led to its identity is none",
         "torchweather.gap.inference.forward_selection",

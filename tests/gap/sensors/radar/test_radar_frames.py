@@ -42,6 +42,7 @@ from torchweather.gap.sensors.radar.sums import (
     GHOST_DELAY_M,
     SAME_DIRECTION_RAD,
     SAME_SPEED_M_PER_S,
+    RadarSums,
     _at_one_delay,
 )
 from torchweather.gap.sensors.radar.systematics import ReceiverNoise
@@ -389,6 +390,42 @@ def test_further_detections_are_counted_by_range_and_ghosts_behind_their_targets
         assert group(model, found, "ghost_count", "ghost_delay_m")[k].sum() == pytest.approx(own)
         ghosts += own
     assert ghosts > 10
+
+
+def test_a_ghost_is_held_against_the_nearest_target_in_direction_and_speed(model: RadarFrames) -> None:
+    """Targets drawn together, so that several lie near a further detection; many of these are too far off to count."""
+    scene, rng, number = model.scenes["s0"], np.random.default_rng(6), 400
+    together = {name: 0.1 * scene.geometry[name] for name in ("azimuth_rad", "elevation_rad")}
+    scene = replace(scene, geometry={**scene.geometry, **together})
+    frame, target = np.sort(rng.integers(0, CLEAR, number)), rng.integers(0, NUMBER, number)
+    angles = [
+        scene.geometry[name][target] + 1.5 * SAME_DIRECTION_RAD * rng.normal(size=number)
+        for name in ("azimuth_rad", "elevation_rad")
+    ]
+    speed = scene.clear.speed_m_per_s[frame, target] + 1.5 * SAME_SPEED_M_PER_S * rng.normal(size=number)
+    range_m, power_db = rng.uniform(5.0, 150.0, number), rng.normal(-90.0, 5.0, number)
+    clutter = np.stack([range_m, *angles, speed, power_db], 1)
+    frames = replace(scene.clear, clutter=clutter, clutter_frame=frame)
+    delay_m, fainter_db = RadarSums(scene, model.layout)._behind(frames)
+    several = 0
+    for m, (where, azimuth, elevation, fast, power) in enumerate(frames.clutter):
+        k = frames.clutter_frame[m]
+        off = (
+            ((azimuth - scene.geometry["azimuth_rad"]) / SAME_DIRECTION_RAD) ** 2
+            + ((elevation - scene.geometry["elevation_rad"]) / SAME_DIRECTION_RAD) ** 2
+            + ((fast - frames.speed_m_per_s[k]) / SAME_SPEED_M_PER_S) ** 2
+        )
+        off[~(where - frames.range_m[k] >= 0.2)] = np.inf
+        best = int(np.where(np.isnan(off), np.inf, off).argmin())
+        several += int((off < 1.0).sum() > 1)
+        if off[best] < 1.0:
+            assert delay_m[m] == pytest.approx(where - frames.range_m[k, best])
+            assert fainter_db[m] == pytest.approx(power - frames.power_db[k, best])
+        else:
+            assert np.isnan(delay_m[m])
+            assert np.isnan(fainter_db[m])
+    assert np.isfinite(delay_m).sum() > 20
+    assert several > 3
 
 
 @pytest.mark.parametrize(

@@ -25,10 +25,14 @@ def repeated(values: Floats) -> Flags:
         >>> repeated(np.array([[-80.0, -75.5, -80.0, np.nan, np.nan]])).tolist()
         [[True, False, True, False, False]]
     """
-    found = np.zeros(values.shape, dtype=bool)
-    for frame, row in zip(found, values, strict=True):
-        _, place, count = np.unique(row, return_inverse=True, return_counts=True, equal_nan=False)
-        frame[:] = count[place] > 1
+    order = values.argsort(1)
+    ordered = np.take_along_axis(values, order, 1)
+    alike = ordered[:, 1:] == ordered[:, :-1]  # NaN equals nothing
+    again = np.zeros(values.shape, dtype=bool)
+    again[:, 1:] |= alike
+    again[:, :-1] |= alike
+    found = np.empty_like(again)
+    np.put_along_axis(found, order, again, 1)
     return found
 
 

@@ -310,18 +310,24 @@ class RadarSums:
         scene, frame = self.scene, frames.clutter_frame
         if not len(frame):
             return np.zeros(0), np.zeros(0)
-        range_m, azimuth, elevation, speed, power_db = (column[:, None] for column in frames.clutter.T)
+        range_m, azimuth, elevation, speed, power_db = frames.clutter.T
         known = scene.geometry
-        delay = range_m - frames.range_m[frame]
-        across = np.remainder(azimuth - known["azimuth_rad"] + math.pi, 2.0 * math.pi) - math.pi
-        off = (across / SAME_DIRECTION_RAD) ** 2 + ((elevation - known["elevation_rad"]) / SAME_DIRECTION_RAD) ** 2
-        off = off + ((speed - frames.speed_m_per_s[frame]) / SAME_SPEED_M_PER_S) ** 2
-        off = np.where((delay >= GHOST_DELAY_M[0]) & (off < 1.0), off, np.inf)  # NaN compares as false
-        best = off.argmin(1)
-        each = np.arange(len(frame))
-        follows = np.isfinite(off[each, best])
-        fainter = power_db[:, 0] - frames.power_db[frame, best]
-        return np.where(follows, delay[each, best], np.nan), np.where(follows, fainter, np.nan)
+        # The rest is compared of the few pairs at one speed, and a little more; NaN compares as false.
+        apart = np.abs(speed[:, None] - frames.speed_m_per_s[frame])
+        further, target = np.nonzero(apart < 1.001 * SAME_SPEED_M_PER_S)
+        delay = range_m[further] - frames.range_m[frame[further], target]
+        across = np.remainder(azimuth[further] - known["azimuth_rad"][target] + math.pi, 2.0 * math.pi) - math.pi
+        up = elevation[further] - known["elevation_rad"][target]
+        off = (across / SAME_DIRECTION_RAD) ** 2 + (up / SAME_DIRECTION_RAD) ** 2
+        off = off + (apart[further, target] / SAME_SPEED_M_PER_S) ** 2
+        near = np.flatnonzero((delay >= GHOST_DELAY_M[0]) & (off < 1.0))
+        near = near[np.lexsort((target[near], off[near], further[near]))]
+        follows, first = np.unique(further[near], return_index=True)  # the nearest of each
+        best = near[first]
+        behind, fainter = np.full(len(frame), np.nan), np.full(len(frame), np.nan)
+        behind[follows] = delay[best]
+        fainter[follows] = power_db[follows] - frames.power_db[frame[follows], target[best]]
+        return behind, fainter
 
     def _scalars(self, frames: Detections, values: Mapping[str, Floats], portions: int) -> Floats:
         further = np.bincount(frames.clutter_frame, minlength=len(frames))
