@@ -1024,6 +1024,19 @@ MUTANTS = (
         ),
     ),
     Mutant(
+        "one_clear_frame_in_two_folds",
+        "frames that are simulated from one clear frame are in one fold of its portions",
+        "torchweather.gap.inference.simulated_distribution",
+        "% clear if independent",
+        "if independent",
+        (
+            (
+                "tests/gap/inference/test_simulated_distribution.py::"
+                "test_elements_that_are_measured_again_are_no_sample_of_others"
+            ),
+        ),
+    ),
+    Mutant(
         "ghost_of_any_target_near",
         "a further detection is held against the nearest target in direction and speed",
         "torchweather.gap.sensors.radar.sums",
