@@ -1014,21 +1014,8 @@ MUTANTS = (
         "elements_as_a_sample_of_others",
         "folds are made of portions and frames together: the same elements are measured again",
         "torchweather.gap.inference.simulated_distribution",
-        "if independent >= SCATTER.few_degrees else",
-        "if False else",
-        (
-            (
-                "tests/gap/inference/test_simulated_distribution.py::"
-                "test_elements_that_are_measured_again_are_no_sample_of_others"
-            ),
-        ),
-    ),
-    Mutant(
-        "one_clear_frame_in_two_folds",
-        "frames that are simulated from one clear frame are in one fold of its portions",
-        "torchweather.gap.inference.simulated_distribution",
-        "% clear if independent",
-        "if independent",
+        "len(apart) if clear >= len(apart) else 1",
+        "1",
         (
             (
                 "tests/gap/inference/test_simulated_distribution.py::"

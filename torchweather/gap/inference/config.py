@@ -88,8 +88,7 @@ class ScatterConfig:
     lacking_over_shown: float = 4.0
     well_may_be_sd: float = 2.0  # standard deviations of an estimated variance above it, where it is small
     most_unsure: float = 1.0  # relative variance of an estimated variance, up to which it is allowed for
-    # Degrees of freedom of whole frames, below which frames that are alike by chance make no steady sensor, and the
-    # noise of one follows from that of the others.
+    # Degrees of freedom of whole frames, below which frames that are alike by chance make no steady sensor.
     few_degrees: int = 4
     frame_noise_p: float = 1e-4  # probability that the noise of whole frames exceeds its stated bound: below alarm_p
     clear_frames_min: int = 4  # for a test of clear air

@@ -435,9 +435,9 @@ def element_noise(portioned: Mapping[str, Pool], measured: Sequence[Observation]
         known[name] = _degrees_of_freedom((apart**2).mean(0), independent)
         unit = apart / np.where(scatter[name] > 0, scatter[name], 1.0)
         unit = np.where(target.enough, unit, 0.0)
-        # Each fold has other portions of each clear frame: the measured frames have the same elements, with new noise.
-        # Of few clear frames the noise of one follows from the others', so their folds are of portions alone.
-        frame = np.arange(len(apart))[:, None] % clear if independent >= SCATTER.few_degrees else np.zeros((1, 1), int)
+        # Each fold has other portions of each frame: the measured frames have the same elements, with new noise. Of few
+        # clear frames the noise of one follows from the others', so their folds are of portions alone.
+        frame = np.arange(len(apart) if clear >= len(apart) else 1)[:, None]
         fold_of = np.broadcast_to((np.arange(portions) + frame) % len(folds), unit.shape[:2])
         for number in range(len(folds)):
             own_portions = unit[fold_of == number]
