@@ -1025,7 +1025,7 @@ MUTANTS = (
     ),
     Mutant(
         "ghost_of_any_target_near",
-        "a further detection is held against the nearest target in direction and speed",
+        "a ghost is compared with the target that is nearest in direction and speed",
         "torchweather.gap.sensors.radar.sums",
         "np.lexsort((target[near], off[near], further[near]))",
         "np.lexsort((target[near], further[near]))",

@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 
 
 class SimulatorLikelihood(ProfiledConditions):
-    """One study's conditions against one simulator, in which effects are fitted; arguments of SimulatedConditions."""
+    """One study's conditions against a simulator in which effects are fitted; arguments of ``SimulatedConditions``."""
 
     def templates(
         self, points: Sequence[tuple[ParameterGrid, int]], point: ParameterPoint, base: SimulatedDistribution
@@ -114,7 +114,7 @@ class SimulatorLikelihood(ProfiledConditions):
         return fit.misfit - max(self.misfit(fit.residual, fit.nuisance) - step.misfit, 0.0)
 
     def _fitted_names(self, point: ParameterPoint) -> list[tuple[str, str]]:
-        """(Effect, parameter) of all that a fit moves."""
+        """Effect and name of every parameter that a fit moves."""
         return [
             (effect, parameter.name)
             for effect, values in point.values.items()

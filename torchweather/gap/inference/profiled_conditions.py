@@ -61,7 +61,7 @@ class Fit:
 
 
 class ProfiledConditions(SimulatedConditions):
-    """One study's conditions against one simulator whose nuisances are profiled over; arguments as above it."""
+    """One study's conditions, with a profile over their nuisances; arguments of ``SimulatedConditions``."""
 
     @cached_property
     def frame_departures(self) -> list[FrameDeparture]:
@@ -265,7 +265,7 @@ class ProfiledConditions(SimulatedConditions):
     def _wider(self, base: SimulatedDistribution) -> float:
         """Twice the logarithm of the scatter over that of the start, of all entries.
 
-        Of counts up to that of counting, which is all that the first few of what there was nothing of before bring.
+        Counts are charged only for what exceeds the scatter of counting: the first few of an empty bin have that.
         """
         counts = self.model.layout.each(lambda group: group.kind in COUNTED)
         total = 0.0

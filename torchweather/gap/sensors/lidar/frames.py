@@ -52,7 +52,7 @@ __all__ = ["LidarFrames"]
 
 # Of points whose intensity says less than the threshold; beams that are compared stand above it by their own signal.
 LEAST_MARGIN_DB = 1e-3
-TOGETHER = 2**17  # beams of several frames, which are simulated at once: more do not fit into the processor's cache
+BEAMS_TOGETHER = 2**17  # of several frames that are simulated at once: more do not fit into the processor's cache
 KEPT = 48  # states, so that those of a setting are kept for every condition
 # Relative, of the brightness of drops and flakes, and of their readings: what two implementations of one physics differ
 # by, of which one adds up the echoes within a pulse and the other takes their mean (2 %, and 4 % of the number).
@@ -245,7 +245,7 @@ class LidarFrames:
         """
         scene = self.scenes[condition.scene]
         parts = []
-        at_once = max(TOGETHER // scene.range_m.shape[-1], 1)
+        at_once = max(BEAMS_TOGETHER // scene.range_m.shape[-1], 1)
         edges = np.linspace(0, len(seeds), math.ceil(len(seeds) / at_once) + 1).round().astype(int)
         for first, last in pairwise(edges):
             some = list(seeds[first:last])
