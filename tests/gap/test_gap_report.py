@@ -29,6 +29,7 @@ from torchweather.gap.inference.simulated_distribution import Observation, Simul
 from torchweather.gap.inference.unknown import log_chance, without_means
 from torchweather.gap.model_file import Additions
 from torchweather.gap.statistics.frame_statistics import Group, Layout
+from torchweather.gap.statistics.log_square import mean_log_square
 from torchweather.lidar.effects.all import LidarRangeNoise, LidarWindowLoss
 from torchweather.lidar.effects.empirical import Empirical
 from torchweather.pipeline.effect import Parameter
@@ -190,24 +191,33 @@ def test_of_two_departures_the_more_significant_counts_not_the_loudest_bin() -> 
     assert gap_report(result("unknown", many), "ab" * 32, 3).to_dict()["unknown"]["statistic"] == "lost_share"
 
 
-def test_a_spread_that_a_ripple_makes_is_not_what_is_unknown() -> None:
-    """By the law of total variance; a spread of its own stays."""
-    spread = Group("log_intensity_spread", "range_m", "spread", (0.0, 10.0, 20.0))
+@pytest.mark.parametrize("clear", [None, 0.03])
+def test_a_spread_that_a_ripple_makes_is_not_what_is_unknown(clear: float | None) -> None:
+    """By the law of total variance; a spread of its own stays. Told as a logarithm, and as a mean logarithm of squares
+    in units of clear air's."""
+    kind = "spread" if clear is None else "mean"
+    spread = Group("log_intensity_spread", "range_m", kind, (0.0, 10.0, 20.0))
+
+    def entry(variance: float) -> float:
+        if clear is None:
+            return 0.5 * math.log(variance)
+        return float(mean_log_square(np.array([math.sqrt(variance) / clear]))[0])
+
+    units = {} if clear is None else {"log_intensity_spread": np.array([clear])}
     layout = Layout((RATIO, spread), (), (), ())
     mean = ripple(0.05)[:16]
     variance = 0.03**2
     for own in (0.0, 0.04**2):
-        wider = 0.5 * math.log((variance + mean.var() + own) / variance)
         sd = np.array([[0.002] * 16 + [0.01, 0.01]])
-        measured = np.concatenate([mean, [0.5 * math.log(variance) + wider] * 2])[None]
-        simulated = np.array([[0.0] * 16 + [0.5 * math.log(variance)] * 2])
+        measured = np.concatenate([mean, [entry(variance + mean.var() + own)] * 2])[None]
+        simulated = np.array([[0.0] * 16 + [entry(variance)] * 2])
         z = (measured - simulated) / sd
         used = np.ones_like(z, dtype=bool)
-        found = Departures(layout, measured, simulated, sd, used, np.array([5]), np.full((1, 18), 100.0), np.ones(1))
+        found = Departures(layout, measured, simulated, sd, used, np.array([5]), np.full((1, 18), 100.0), units)
         less = without_means(found, z)
         np.testing.assert_array_equal(less[:, :16], z[:, :16])
-        left = 0.5 * math.log((variance + own) / variance) / 0.01
-        assert z[0, -1] > 40
+        left = (entry(variance + own) - entry(variance)) / 0.01
+        assert z[0, -1] > 30
         # The variance that the errors of the means add, 0.002^2, is taken off: 0.3 of a standard deviation.
         np.testing.assert_allclose(less[0, 16:], left, atol=0.4)
 

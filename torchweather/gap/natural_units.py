@@ -33,7 +33,7 @@ SHARES_OF = {
 }
 COUNTS_OF = dict.fromkeys(("clutter_count", "ghost_count"), "detections per frame")
 # Mean of ln(1 + square), the squares in units of clear air's variance: of a normal error, its standard deviation.
-LOG_SQUARES = ("range_residual_spread", "power_spread", "speed_spread", "range_spread")
+LOG_SQUARES = ("log_intensity_spread", "range_residual_spread", "power_spread", "speed_spread", "range_spread")
 # Products of what is in units of the noise of a pixel.
 PRODUCTS = re.compile(r"streak_correlation_.*|column_correlation|row_correlation")
 
@@ -108,7 +108,7 @@ def _of_mean(name: str) -> NaturalUnit | None:
 
 
 def _of_spread(name: str) -> NaturalUnit | None:
-    if name in ("log_intensity_spread", "log_particle_intensity_spread"):
+    if name == "log_particle_intensity_spread":
         return NaturalUnit("dB, standard deviation", lambda entry, frames: DB_PER_NEPER * np.exp(entry))
     if name == "log_ratio_spread":
         return NaturalUnit("%, standard deviation", lambda entry, frames: PER_CENT * np.exp(entry))

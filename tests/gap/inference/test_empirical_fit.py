@@ -22,6 +22,7 @@ from torchweather.gap.sensors.camera.tails import share_groups
 from torchweather.gap.sensors.lidar.frames import LidarFrames
 from torchweather.gap.sensors.radar.sums import radar_layout
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Pool
+from torchweather.gap.statistics.log_square import mean_log_square
 from torchweather.gap.study.study import Study
 from torchweather.lidar.effects.empirical import Empirical
 
@@ -37,6 +38,9 @@ def stable_share(share: Any) -> Floats:
     return found
 
 
+CLEAR_SPREAD = {"range_residual_spread": 0.02, "log_intensity_spread": 0.03}  # m, of ln(intensity)
+
+
 def departures(group: Group, measured: Any, simulated: Any, sd: Any, used: Any = True, frames: int = 5) -> Departures:
     """Of one group and as many conditions as ``measured`` has rows."""
     rows = np.atleast_2d(np.asarray(measured, dtype=np.float64))
@@ -49,7 +53,7 @@ def departures(group: Group, measured: Any, simulated: Any, sd: Any, used: Any =
         used=np.broadcast_to(np.asarray(used), shape),
         frames=np.full(len(rows), frames),
         weight=np.full(shape, 100.0),
-        range_noise_m=np.full(len(rows), 0.02),
+        clear_spread={name: np.full(len(rows), sd) for name, sd in CLEAR_SPREAD.items()},
     )
 
 
@@ -105,14 +109,16 @@ def test_counts_are_returns_a_frame() -> None:
 
 
 def test_spreads_are_standard_deviations_and_their_variances_subtract() -> None:
-    group = Group("log_intensity_spread", "range_m", "spread", EDGES)
-    given = departures(group, np.log([0.05, 0.03, 0.03]), math.log(0.03), 0.01)
-    np.testing.assert_allclose(natural_curve(given, group).value, [0.02, 0.0, 0.0], atol=1e-12)
+    group = Group("log_intensity_spread", "range_m", "mean", EDGES)
+    clear, wider, less_noise = mean_log_square(np.array([0.03, 0.05, 0.01]) / 0.03).tolist()
+    given = departures(group, [wider, clear, clear], clear, 0.01)
+    # The way back is a table with 3e-5 of a spread.
+    np.testing.assert_allclose(natural_curve(given, group).value, [0.02, 0.0, 0.0], atol=5e-6)
     stage = empirical_stage(given, group)
     assert isinstance(stage, Empirical)
     assert stage.kind == "intensity_noise"
-    assert stage.config()["value"] == pytest.approx([0.04, 0.0, 0.0], abs=1e-9)
-    less = departures(group, np.log([0.01] * 3), math.log(0.03), 0.01)
+    assert stage.config()["value"] == pytest.approx([0.04, 0.0, 0.0], abs=5e-6)
+    less = departures(group, [less_noise] * 3, clear, 0.01)
     assert "scatters less" in str(empirical_stage(less, group))
 
 
@@ -187,7 +193,9 @@ def between(plain: Study, other: Study) -> Departures:
         used=np.stack([one.enough & other.enough for one, other in zip(before, after, strict=True)]),
         frames=np.array([one.frames for one in after]),
         weight=np.stack([models[1].measured(one).weight.mean(0) for one in conditions]),
-        range_noise_m=np.array([models[0].range_noise_m(one) for one in conditions]),
+        clear_spread={
+            name: np.array([models[0].clear_spread(one)[name] for one in conditions]) for name in CLEAR_SPREAD
+        },
     )
 
 
@@ -306,6 +314,6 @@ def test_noise_of_the_range_comes_back_as_a_stage_in_metres(plain: Study) -> Non
     (group,) = [one for one in found.layout.groups if (one.statistic, one.axis) == ("range_residual_spread", "range_m")]
     curve = natural_curve(found, group)
     assert curve.unit == "m, standard deviation"
-    clear_m = float(found.range_noise_m[0])
+    clear_m = float(found.clear_spread["range_residual_spread"][0])
     wider = float(np.nanmedian(curve.value))
     assert wider == pytest.approx(math.hypot(clear_m, 0.03) - clear_m, rel=0.25)

@@ -463,7 +463,7 @@ MUTANTS = (
         "range_noise_of_a_logarithm",
         "the stage that copies a spread of range has it in metres",
         "torchweather.gap.inference.empirical_fit",
-        "lambda entry: spread_of_log_square(entry) * departures.range_noise_m[:, None]",
+        "lambda entry: spread_of_log_square(entry) * clear[:, None]",
         "np.exp",
         ("tests/gap/inference/test_empirical_fit.py::test_noise_of_the_range_comes_back_as_a_stage_in_metres",),
     ),
@@ -490,6 +490,53 @@ MUTANTS = (
         "cost - best[0] < NUMERICS.doubled_from * (cost - step.misfit)",
         "cost > best[0]",
         (f"{SELECTION}::test_a_step_is_doubled_only_where_the_least_lies_beyond_it",),
+    ),
+    Mutant(
+        "spread_of_intensities_by_squares",
+        "one reading far out hardly widens the spread of intensities",
+        "torchweather.gap.sensors.lidar.sums",
+        "torch.log1p(away.square(), out=at[name])",
+        "torch.square(away, out=at[name])",
+        (
+            (
+                "tests/gap/sensors/lidar/test_lidar_frames.py::"
+                "test_a_flake_right_before_a_surface_hardly_widens_the_spread_of_intensities"
+            ),
+        ),
+    ),
+    Mutant(
+        "middle_of_intensities_by_the_mean",
+        "one reading far out hardly moves the middle about which intensities spread",
+        "torchweather.gap.sensors.lidar.sums",
+        "return middle + mean((ratio - middle).clamp(-farthest, farthest))",
+        "return middle",
+        (
+            (
+                "tests/gap/sensors/lidar/test_lidar_frames.py::"
+                "test_a_flake_right_before_a_surface_hardly_widens_the_spread_of_intensities"
+            ),
+        ),
+    ),
+    Mutant(
+        "spread_of_log_squares_kept_with_the_means",
+        "what means along other axes add to a spread that is a mean logarithm of squares is taken off in its unit",
+        "torchweather.gap.inference.unknown",
+        "return entry - mean_log_square(less * spread / unit)",
+        "return entry - mean_log_square(less * spread)",
+        ("tests/gap/test_gap_report.py::test_a_spread_that_a_ripple_makes_is_not_what_is_unknown",),
+    ),
+    Mutant(
+        "wider_counts_of_events_of_their_own",
+        "what widens counts beyond their elements is the same on every axis",
+        "torchweather.gap.inference.events_along_axes",
+        "told = np.where(self.counted, 1.0, scatter_share)",
+        "told = scatter_share",
+        (
+            (
+                "tests/gap/inference/test_events_along_axes.py::"
+                "test_what_widens_counts_beyond_their_elements_is_alike_on_every_axis"
+            ),
+        ),
     ),
     Mutant(
         "compiled_sums_of_no_squares",

@@ -11,7 +11,7 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,7 +89,8 @@ class Departures:
         used: ``(C, P)`` entries that count.
         frames: ``(C,)`` measured frames.
         weight: ``(C, bins)`` weight in each bin a frame, of the entries that come from sums over bins.
-        range_noise_m: ``(C,)`` standard deviation of the range of clear frames, the unit of a spread of range.
+        clear_spread: statistic to ``(C,)``, the standard deviation of clear frames in which its spread is told
+            (``log_square.py``); others tell ln(standard deviation).
     """
 
     layout: Layout
@@ -99,7 +100,7 @@ class Departures:
     used: NDArray[np.bool_]
     frames: NDArray[np.intp]
     weight: Floats
-    range_noise_m: Floats
+    clear_spread: Mapping[str, Floats]
 
     def place(self, statistic: str, axis: str) -> slice | None:
         """Where a group stands in the vectors; ``None`` where there is none."""
@@ -175,8 +176,9 @@ def empirical_stage(departures: Departures, group: Group) -> Empirical | str:
 def _natural(group: Group, departures: Departures) -> Callable[[Floats], Floats]:
     """From an entry's even units to natural ones."""
     kind, frames = group.kind, departures.frames
-    if group.statistic == "range_residual_spread":
-        return lambda entry: spread_of_log_square(entry) * departures.range_noise_m[:, None]
+    clear = departures.clear_spread.get(group.statistic)
+    if clear is not None:
+        return lambda entry: spread_of_log_square(entry) * clear[:, None]
     if kind == "share":
         return lambda entry: np.sin(np.clip(entry, 0.0, 0.5 * math.pi)) ** 2
     if kind == "count":

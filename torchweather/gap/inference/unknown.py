@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,9 @@ from torchweather.gap.inference.forward_selection import GapResult
 from torchweather.gap.inference.likelihood import SimulatorLikelihood
 from torchweather.gap.inference.simulated_distribution import SimulatedDistribution
 from torchweather.gap.statistics.formula import Formula, simplest_formula
-from torchweather.gap.statistics.frame_statistics import Group
+from torchweather.gap.statistics.frame_statistics import TINY, Group
+from torchweather.gap.statistics.log_square import mean_log_square, spread_of_log_square
+from torchweather.gap.study.conditions import Condition
 from torchweather.lidar.effects.empirical import Empirical
 
 __all__ = ["Unknown", "departures", "unknown"]
@@ -125,8 +127,9 @@ def departures(search: SimulatorLikelihood, base: SimulatedDistribution, sd: Map
     """The measured conditions beside a simulation of them, with the scatter that counts."""
     measured = search.measured
     names = [target.condition.id for target in measured]
-    # Only LiDARs compare ranges with the noise of their clear frames.
-    range_noise_m = getattr(search.model, "range_noise_m", lambda condition: 1.0)
+    # Only LiDARs tell spreads in units of their clear frames'.
+    told: Callable[[Condition], Mapping[str, float]] = getattr(search.model, "clear_spread", lambda condition: {})
+    clear = [told(target.condition) for target in measured]
     return Departures(
         layout=search.model.layout,
         measured=np.stack([target.vector for target in measured]),
@@ -135,7 +138,7 @@ def departures(search: SimulatorLikelihood, base: SimulatedDistribution, sd: Map
         used=np.stack([base.used[name] for name in names]),
         frames=np.array([target.frames for target in measured]),
         weight=np.stack([search.model.measured(target.condition).weight.mean(0) for target in measured]),
-        range_noise_m=np.array([range_noise_m(target.condition) for target in measured]),
+        clear_spread={name: np.array([one[name] for one in clear]) for name in clear[0]},
     )
 
 
@@ -162,11 +165,22 @@ def without_means(found: Departures, z: Floats) -> Floats:
             if mean.statistic == MEAN_OF.get(group.statistic) and mean.axis != group.axis and mean.kind == "mean"
         ]
         if along:
-            variance = np.exp(2.0 * found.measured[:, part])
-            share = np.clip(np.max(along, 0)[:, None] / variance, 0.0, 1.0 - 1e-9)
-            less = z[:, part] + 0.5 * np.log1p(-share) / found.sd[:, part]
+            less = z[:, part] - _made_by_means(found, group, part, np.max(along, 0)) / found.sd[:, part]
             fewer[:, part] = np.where(z[:, part] > 0, np.maximum(less, 0.0), z[:, part])
     return fewer
+
+
+def _made_by_means(found: Departures, group: Group, part: slice, variance: Floats) -> Floats:
+    """What a variance ``(C,)`` of means, within the bins of a spread, makes of its entries ``(C, bins)``."""
+    entry, clear = found.measured[:, part], found.clear_spread.get(group.statistic)
+    unit = 1.0 if clear is None else clear[:, None]
+    spread = unit * (np.exp(entry) if clear is None else spread_of_log_square(entry))
+    share = np.clip(variance[:, None] / np.maximum(spread, TINY) ** 2, 0.0, 1.0 - 1e-9)
+    less = np.sqrt(1.0 - share)
+    if clear is None:
+        made: Floats = -np.log(less)
+        return made
+    return entry - mean_log_square(less * spread / unit)
 
 
 def _variation(found: Departures, z: Floats, part: slice) -> Floats:

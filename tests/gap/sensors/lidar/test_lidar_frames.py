@@ -166,7 +166,14 @@ def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[t
     stable = [beam for beam in range(ROWS * COLUMNS) if scene.stable[beam]]
     same = [beam for beam in stable if seen[beam] and abs(apart[beam]) < SAME_SURFACE_M]
     ratio = {beam: math.log(float(intensity[beam]) / level[beam]) for beam in same if intensity[beam] > 0}
-    common_m, common_ratio = sum(apart[beam] for beam in same) / len(same), sum(ratio.values()) / len(ratio)
+    common_m = sum(apart[beam] for beam in same) / len(same)
+    by_range: dict[int, list[float]] = {}
+    for beam, value in ratio.items():
+        by_range.setdefault(int(scene.bins["range_m"][row, beam]), []).append(value)
+    middle = {place: sum(values) / len(values) for place, values in by_range.items()}
+    for place, values in by_range.items():
+        farthest = 3.0 * scene.reading_noise
+        middle[place] += sum(min(max(one - middle[place], -farthest), farthest) for one in values) / len(values)
 
     def add(statistic: str, beam: int, value: float) -> None:
         for one in groups:
@@ -186,7 +193,8 @@ def looped(model: LidarFrames, range_m: Any, intensity: Any, row: int) -> dict[t
         add("beyond_share", beam, float(seen[beam] and apart[beam] > SAME_SURFACE_M))
     for beam, value in ratio.items():
         add("log_intensity_ratio", beam, value)
-        add("log_intensity_spread", beam, value - common_ratio)
+        away = value - middle[int(scene.bins["range_m"][row, beam])]
+        add("log_intensity_spread", beam, math.log1p((away / scene.reading_noise) ** 2))
     for beam in same:
         add("zero_intensity_share", beam, float(intensity[beam] == 0))
         add("range_residual_m", beam, apart[beam])
@@ -238,6 +246,30 @@ def test_a_clock_and_a_scale_of_a_whole_frame_move_means_and_widen_no_spread(stu
         assert weight.sum() > 0.9 * len(row) * int(model.scenes["s0"].stable.sum())
         found, wanted = (group(model, one, statistic, "margin_db") for one in (after, before))
         np.testing.assert_allclose(found - wanted, weight * by, atol=2e-4)
+
+
+def test_a_flake_right_before_a_surface_hardly_widens_the_spread_of_intensities(
+    study: Study, model: LidarFrames
+) -> None:
+    """One reading at a third of its own: by chance it happens in one condition and not in another."""
+    range_m, intensity = (stacked(study.scenes["s0"].clear, name)[:1] for name in ("range_m", "intensity"))
+    scene = model.scenes["s0"]
+    beam = int((scene.stable & (scene.bins["range_m"][0] == 2)).nonzero()[0])
+    dimmed = intensity.copy()
+    dimmed[0, beam] /= 3.5
+    before, after = (
+        model.reduce("s0", *(torch.from_numpy(one.astype(np.float32)) for one in (range_m, level)), torch.tensor([0]))
+        for level in (intensity, dimmed)
+    )
+    number, value, square = (
+        group(model, before, "log_intensity_spread", "range_m", what)[0, 2] for what in ("weight", "value", "square")
+    )
+    moved = (group(model, after, "log_intensity_spread", "range_m")[0, 2] - value) / number
+    chance = math.sqrt((square / number - (value / number) ** 2) / number)
+    # A square would be moved by ln(3.5)^2 / (number sd^2): many times what chance does to it.
+    far = (math.log(3.5) / scene.reading_noise) ** 2
+    assert far / number > 3.0 * math.sqrt(2.0 / number)
+    assert abs(moved) < 2.0 * chance
 
 
 def test_particles_are_counted_by_range_and_by_whether_a_neighbour_shares_theirs(

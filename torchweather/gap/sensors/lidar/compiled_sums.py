@@ -30,9 +30,11 @@ class Surfaces(NamedTuple):
         range_m, intensity: ``(S,)`` of the reference.
         of_reference: ``(axes, S)`` places of their bins along axes that follow the reference, -1 outside.
         of_beam: ``(axes, S)`` places of their bins along axes that belong to the beam, -1 outside.
+        range_axis: which of the former is that of range: intensities spread about their middle in its bins.
         tolerance_m: how near to the reference a return is the surface's.
-        noise_m: standard deviation of the range of clear frames.
+        noise_m, reading_noise: standard deviations of the range and of ln(intensity) of clear frames.
         faintest: intensity, at least.
+        far_out: clear air's standard deviations; for the middle of its bin a reading beyond counts as lying there.
     """
 
     beam: Places
@@ -40,9 +42,12 @@ class Surfaces(NamedTuple):
     intensity: Array
     of_reference: Places
     of_beam: Places
+    range_axis: int
     tolerance_m: np.float32
     noise_m: np.float32
+    reading_noise: np.float32
     faintest: np.float32
+    far_out: np.float32
 
 
 class ParticleBins(NamedTuple):
@@ -94,7 +99,9 @@ def sum_frame(
     count = surfaces.beam.size
     kinds = np.empty(count, np.int8)  # 0 lost, 1 before, 2 beyond, 3 the same without intensity, 4 with
     aparts, ratios = np.empty(count, np.float32), np.empty(count, np.float32)
-    ratio_sum, apart_sum, bright, same = 0.0, 0.0, 0, 0
+    apart_sum, same = 0.0, 0
+    bins = of_reference.shape[0]
+    bright, ratio_sum = np.zeros(bins, np.int32), np.zeros(bins)
     for at in range(count):
         seen_m, level = range_m[surfaces.beam[at]], intensity[surfaces.beam[at]]
         apart = seen_m - surfaces.range_m[at]
@@ -110,11 +117,20 @@ def sum_frame(
                 same += 1
         if kind == 4:
             ratios[at] = log_of_sum(ZERO, max(level, surfaces.faintest) / surfaces.intensity[at])
-            ratio_sum += ratios[at]
-            bright += 1
+            place = surfaces.of_reference[surfaces.range_axis, at]
+            if place >= 0:
+                ratio_sum[place] += ratios[at]
+                bright[place] += 1
         kinds[at], aparts[at] = kind, apart
         before[at] = kind == 1
-    common_m, common_ratio = np.float32(apart_sum / max(same, 1)), np.float32(ratio_sum / max(bright, 1))
+    common_m = np.float32(apart_sum / max(same, 1))
+    centre = (ratio_sum / np.maximum(bright, 1)).astype(np.float32)
+    farthest, step = surfaces.far_out * surfaces.reading_noise, np.zeros(bins)
+    for at in range(count):
+        place = surfaces.of_reference[surfaces.range_axis, at]
+        if kinds[at] == 4 and place >= 0:
+            step[place] += min(max(ratios[at] - centre[place], -farthest), farthest)
+    centre += (step / np.maximum(bright, 1)).astype(np.float32)
     for at in range(count):
         kind = kinds[at]
         if kind < 3:
@@ -133,7 +149,10 @@ def sum_frame(
         dark, ratio, even = ONE, ZERO, ZERO
         if kind == 4:
             dark, ratio = ZERO, ratios[at]
-            even = ratio - common_ratio
+            place = surfaces.of_reference[surfaces.range_axis, at]
+            if place >= 0:
+                off = (ratio - centre[place]) / surfaces.reading_noise
+                even = log_of_sum(ONE, off * off)
         for axis in range(surfaces.of_reference.shape[0]):
             place = surfaces.of_reference[axis, at]
             if place >= 0:

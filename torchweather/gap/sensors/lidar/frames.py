@@ -164,9 +164,11 @@ class LidarFrames:
             found["particle reading"] = -math.inf
         return {**found, "particle gain": -math.inf}
 
-    def range_noise_m(self, condition: Condition) -> float:
-        """Standard deviation of the range of the clear frames of a condition's scene."""
-        return self.scenes[condition.scene].noise_m
+    def clear_spread(self, condition: Condition) -> dict[str, float]:
+        """Standard deviations of the clear frames of a condition's scene, in which its spreads are told: of the range,
+        m, and of ln(intensity)."""
+        scene = self.scenes[condition.scene]
+        return {"range_residual_spread": scene.noise_m, "log_intensity_spread": scene.reading_noise}
 
     def misplaced(self, condition: Condition) -> float:
         """Share of the particles of a condition that the model may put into a neighbouring bin of range."""

@@ -41,6 +41,7 @@ FLICKER_SD = 6.0
 CHOSEN_SD = 3.0  # of a reading, beyond which noise hardly takes it
 DB_PER_NEPER = 10.0 / math.log(10.0)  # of a power
 LEAST_NOISE_M = 2e-3  # a range that is written in millimetres
+LEAST_READING_NOISE = 1e-3  # of ln(intensity): a reading that is written in a thousand steps
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class LidarScene:
             the threshold that frame k alone saw is there in a simulated frame as it is in a measured one.
         tolerance_m: how near to the reference a return is the surface's.
         noise_m: standard deviation of the range of the clear frames.
+        reading_noise: standard deviation of ln(intensity) of the clear frames, beside what whole frames do.
         log_scale: ``(K,)`` logarithm of the intensities of each clear frame over the mean of all, averaged: what a
             sensor's scale does from frame to frame.
         gain: ``(K,)`` the scale that a frame is divided by.
@@ -81,6 +83,7 @@ class LidarScene:
     empty: Tensor
     tolerance_m: float
     noise_m: float
+    reading_noise: float
     log_scale: Tensor
     gain: Tensor
     clock_m: Tensor
@@ -139,7 +142,7 @@ def lidar_scene(
         signal = energy.signal_of_intensity(mean_intensity.float(), mean_range.float())
     margin_db = 10.0 * torch.log10((signal / energy.beam.threshold).clamp_min(1e-6))
     log_scale, gain = torch.zeros(number, dtype=torch.float64), torch.ones(number)
-    variance_at_threshold, reading_std = 0.0, 0.0
+    variance_at_threshold, reading_std, reading_noise = 0.0, 0.0, 0.0
     chosen = torch.zeros_like(margin_db, dtype=torch.bool)
     if with_intensity:
         drawn = (intensity.double() * seen).sum(0) / count[-1].clamp_min(1.0)
@@ -152,6 +155,7 @@ def lidar_scene(
             gain = log_scale.exp().float()
             constant, variance_at_threshold = _variances(apart[:, stable] - log_scale[:, None], margin_db[-1, stable])
             reading_std = math.sqrt(constant)
+            reading_noise = _spread(apart - log_scale[:, None], stable)
     clock_m = torch.zeros(number)
     if bool(stable.any()) and number > 1:
         clock_m = (range_m.double() - mean_range[-1])[:, stable].mean(1).float()
@@ -173,6 +177,7 @@ def lidar_scene(
         empty=empty,
         tolerance_m=max(SAME_SURFACE_M, SPREAD_TIMES * min(usual, 0.2)),
         noise_m=max(usual, LEAST_NOISE_M),
+        reading_noise=max(reading_noise, LEAST_READING_NOISE),
         log_scale=log_scale,
         gain=gain,
         clock_m=clock_m,

@@ -58,13 +58,14 @@ OF_PARTICLES = (
     *("frame", "before", "of_empty", "particle", "clustered"),
     *("bright_particle", "dark_particle", "level", "level2"),
 )
+FAR_OUT = 3.0  # clear air's standard deviations; for the middle of its bin a reading beyond counts as lying there
 SCALARS = ("lost_share", "particle_root", "log_intensity_ratio", "near_particle_root")
 STEADY_COUNT = 0.35  # of 0.5, the scatter of a stabilised count, below which frames are called alike
 STEADY_RATIO = 1e-3  # of a mean logarithm over thousands of beams
 MAPS = ("particles",)
 FROM_CLEAR = ("log_intensity_spread", "range_residual_spread")  # noise that simulated frames have from clear ones
 
-ABOUT_CLEAR_MEAN = ("range_residual_spread",)
+ABOUT_CLEAR_MEAN = ("log_intensity_spread", "range_residual_spread")
 OF_SEEN = ("log_intensity_ratio",)
 SAME_EVENTS = {
     "lost_share_of_thin_targets": "lost_share",
@@ -93,7 +94,7 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, b
     add("beyond_share", "share", ("range_m", "azimuth_rad"))
     if with_intensity:
         add("log_intensity_ratio", "mean", (*everywhere, "log_intensity"))
-        add("log_intensity_spread", "spread", ("range_m",))
+        add("log_intensity_spread", "mean", ("range_m",))
         add("zero_intensity_share", "share", ("range_m",))
     add("range_residual_m", "mean", ("range_m", "margin_db"))
     add("range_residual_spread", "mean", ("range_m", "margin_db"))
@@ -330,6 +331,7 @@ class LidarSums:
         """The stable beams beside one reference, as compiled loops take them."""
         from torchweather.gap.sensors.lidar.compiled_sums import Surfaces
 
+        scene = self.scene
         if reference not in self._compiled_surfaces:
             self._compiled_surfaces[reference] = Surfaces(
                 self.surfaces.beam.int().numpy(),
@@ -337,7 +339,8 @@ class LidarSums:
                 self._reference_intensity[reference].float().contiguous().numpy(),
                 self.surfaces.places(reference),
                 self.standing.places(reference),
-                *(np.float32(one) for one in (self.scene.tolerance_m, self.scene.noise_m, FAINTEST)),
+                list(self.surfaces.bins).index("range_m"),
+                *map(np.float32, (scene.tolerance_m, scene.noise_m, scene.reading_noise, FAINTEST, FAR_OUT)),
             )
         return self._compiled_surfaces[reference]
 
@@ -361,17 +364,34 @@ class LidarSums:
         torch.mul(ratio, at["ratio"], out=at["ratio2"])
         torch.mul(apart, same, out=at["apart"])
         torch.mul(apart, at["apart"], out=at["apart2"])
-        # Spreads are about the frame's own mean: a clock and a scale move whole frames.
-        common_ratio, common_m = (
-            at[name].sum(1, keepdim=True) / counted.sum(1, keepdim=True).clamp_min(1)
-            for name, counted in (("ratio", bright), ("apart", same))
-        )
-        # Grows with the spread, and hardly with what lies far out: flakes right before the surface.
-        torch.log1p(((apart - common_m) * same / self.scene.noise_m).square(), out=at["wide"])
-        torch.mul(at["wide"], at["wide"], out=at["wide2"])
-        torch.mul(ratio - common_ratio, bright, out=at["even"])
-        torch.mul(at["even"], at["even"], out=at["even2"])
+        # Spreads are about the frame's own mean: a clock and a scale move whole frames, and rain dims with range.
+        common_m = at["apart"].sum(1, keepdim=True) / same.sum(1, keepdim=True).clamp_min(1)
+        middle = self._middle_by_range(ratio, bright, row)
+        # Grow with the spread, and hardly with what lies far out: flakes right before the surface.
+        for name, away in (
+            ("wide", (apart - common_m) * same / self.scene.noise_m),
+            ("even", (ratio - middle) * bright / self.scene.reading_noise),
+        ):
+            torch.log1p(away.square(), out=at[name])
+            torch.mul(at[name], at[name], out=at[f"{name}2"])
         return found, before
+
+    def _middle_by_range(self, ratio: Tensor, bright: Tensor, row: Tensor) -> Tensor:
+        """Middle of the ratios ``(F, S)`` of bright beams in the bin of range of each beam of a frame, ``(F, S)``.
+
+        One step of Huber's estimate from the mean (Huber 1964, Bickel 1975): one reading far out hardly moves it.
+        """
+        bins = self.surfaces.bins["range_m"][row]
+        count = len(self.scene.edges["range_m"]) - 1
+        place = bins.where(bins >= 0, count)
+        empty = torch.zeros(len(row), count + 1, dtype=torch.float64)
+        number = empty.scatter_add(1, place, bright.double()).clamp_min(1.0)
+
+        def mean(values: Tensor) -> Tensor:
+            return (empty.scatter_add(1, place, (values * bright).double()) / number).gather(1, place).float()
+
+        middle, farthest = mean(ratio), FAR_OUT * self.scene.reading_noise
+        return middle + mean((ratio - middle).clamp(-farthest, farthest))
 
     def _particles(
         self,
