@@ -53,9 +53,11 @@ class Scene:
             np.sin(elevation) + 0.0 * azimuth,
         )
         shape = (rows, columns)
+        # The topmost rows look into the sky.
+        sky = np.broadcast_to(np.arange(rows)[:, None] >= rows - round(EMPTY * rows), shape)
         return cls(
             np.stack(parts, -1).astype(np.float32),
-            np.where(rng.random(shape) < EMPTY, 0.0, np.exp(rng.uniform(math.log(4.0), math.log(45.0), shape))),
+            np.where(sky, 0.0, np.exp(rng.uniform(math.log(4.0), math.log(45.0), shape))),
             np.exp(rng.uniform(math.log(0.1), math.log(0.9), shape)),
             rng.uniform(0.05, 1.0, shape),
             rng.uniform(-1.0, 1.0, shape),

@@ -75,24 +75,6 @@ def test_one_event_at_an_unseen_place_departs_once() -> None:
     apart = whitening(everywhere)
     # Three axes that are alike but for the shrinkage count as one; without correlations they count as three.
     assert apart @ apart == pytest.approx(3.0 / (1.0 + 2.0 * (1.0 - SCATTER.shrinkage)))
-    alone = EventsAlongAxes(np.eye(LAYOUT.size), events.counted, events.unseen)
+    alone = EventsAlongAxes(np.eye(LAYOUT.size), events.unseen)
     apart = Whitening.of(noise, {"snow": np.ones(LAYOUT.size)}, alone)(everywhere)
     assert apart @ apart == pytest.approx(3.0)
-
-
-def test_what_widens_counts_beyond_their_elements_is_alike_on_every_axis() -> None:
-    """Clumps of events: each is one clump on every axis, so entries go together as before, however wide they are."""
-    events = events_along_axes(LAYOUT, {"snow": made(1000.0, 48)})
-    correlation = np.eye(LAYOUT.size)
-    correlation[:COUNTS, :COUNTS] = np.corrcoef(drawn(2.0, 400)[:, :COUNTS].T)
-    correlation[0, COUNTS] = correlation[COUNTS, 0] = 0.5
-    noise, share = ElementNoise({"snow": np.ones(LAYOUT.size)}, correlation), 0.6
-    whitening = Whitening.of(noise, {"snow": np.full(LAYOUT.size, 1.0 / share)}, events)
-    found = whitening.factor @ whitening.factor.T
-    np.testing.assert_allclose(
-        found[:COUNTS, :COUNTS],
-        (1.0 - SCATTER.shrinkage) * correlation[:COUNTS, :COUNTS] + SCATTER.shrinkage * np.eye(COUNTS),
-        atol=0.02,
-    )
-    # Of a mean, more scatter is its own.
-    assert found[0, COUNTS] == pytest.approx(share * 0.5 * (1.0 - SCATTER.shrinkage), abs=0.02)

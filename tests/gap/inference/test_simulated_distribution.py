@@ -214,7 +214,7 @@ def correlation(rho: float) -> Any:
     return rho ** np.abs(place[:, None] - place[None])
 
 
-NO_EVENTS = EventsAlongAxes(np.eye(BINS), np.zeros(BINS, bool), np.zeros(BINS))
+NO_EVENTS = EventsAlongAxes(np.eye(BINS), np.zeros(BINS))
 
 
 def test_whitened_departures_are_independent() -> None:
@@ -252,7 +252,7 @@ def test_of_correlations_that_few_portions_tell_each_group_is_left_one(study: St
     noise = element_noise({condition.id: Pool(layout, reduced)}, [aim], portions)
     assert noise.folds is not None
     np.testing.assert_allclose(noise.folds.sum(0), noise.correlation, atol=1e-12)
-    no_events = EventsAlongAxes(np.eye(layout.size), np.zeros(layout.size, bool), np.zeros(layout.size))
+    no_events = EventsAlongAxes(np.eye(layout.size), np.zeros(layout.size))
     scatter = {condition.id: noise.scatter[condition.id]}
     fresh = rng.normal(size=(4000, layout.size)) @ mixing.T / np.sqrt((mixing**2).sum(1))
 
@@ -297,7 +297,7 @@ def test_elements_that_are_measured_again_are_no_sample_of_others(study: Study) 
         nothing = np.zeros((len(weight), 0)), np.zeros((len(weight), 0, 1))
         reduced = Reduced(weight, weight * noise_of_targets.reshape(-1, 1), weight, *nothing)
         noise = element_noise({aim.condition.id: Pool(layout, reduced)}, [aim], targets)
-        events = EventsAlongAxes(np.eye(layout.size), np.zeros(layout.size, bool), np.zeros(layout.size))
+        events = EventsAlongAxes(np.eye(layout.size), np.zeros(layout.size))
         whitening = Whitening.of(noise, {aim.condition.id: noise.scatter[aim.condition.id]}, events, layout)
         fresh = (sd * rng.normal(size=(2000, targets))) @ mean_of / scatter
         return [float((whitening(fresh)[:, part] ** 2).mean()) for part in layout.slices]

@@ -492,6 +492,14 @@ MUTANTS = (
         (f"{SELECTION}::test_a_step_is_doubled_only_where_the_least_lies_beyond_it",),
     ),
     Mutant(
+        "beams_into_dark_sides_are_open",
+        "a beam that ends at a dark side is not held against flakes behind it",
+        "torchweather.gap.sensors.lidar.open_beams",
+        "torch.from_numpy(ends.end == BeamEnd.SKY)",
+        "torch.from_numpy(ends.end != BeamEnd.GROUND)",
+        ("tests/gap/sensors/lidar/test_open_beams.py::test_a_side_that_gives_no_return_ends_its_beams",),
+    ),
+    Mutant(
         "spread_of_intensities_by_squares",
         "one reading far out hardly widens the spread of intensities",
         "torchweather.gap.sensors.lidar.sums",
@@ -524,19 +532,6 @@ MUTANTS = (
         "return entry - mean_log_square(less * spread / unit)",
         "return entry - mean_log_square(less * spread)",
         ("tests/gap/test_gap_report.py::test_a_spread_that_a_ripple_makes_is_not_what_is_unknown",),
-    ),
-    Mutant(
-        "wider_counts_of_events_of_their_own",
-        "what widens counts beyond their elements is the same on every axis",
-        "torchweather.gap.inference.events_along_axes",
-        "told = np.where(self.counted, 1.0, scatter_share)",
-        "told = scatter_share",
-        (
-            (
-                "tests/gap/inference/test_events_along_axes.py::"
-                "test_what_widens_counts_beyond_their_elements_is_alike_on_every_axis"
-            ),
-        ),
     ),
     Mutant(
         "compiled_sums_of_no_squares",

@@ -31,13 +31,11 @@ class EventsAlongAxes:
 
     Args:
         correlation: ``(P, P)``; the unit matrix outside counted entries.
-        counted: ``(P,)`` which entries are counts.
         unseen: ``(P,)`` share of the correlations that is taken from it: 1 where no event was simulated, 0 of entries
             that are no counts.
     """
 
     correlation: Floats
-    counted: NDArray[np.bool_]
     unseen: Floats
 
     def mixed(self, seen: Floats, scatter_share: Floats) -> Floats:
@@ -45,11 +43,9 @@ class EventsAlongAxes:
 
         Args:
             seen: ``(P, P)`` of simulated events.
-            scatter_share: ``(P,)`` share of an entry's scatter that they tell; of counts all of it, as what the same
-                events add along several axes is the same as well.
+            scatter_share: ``(P,)`` share of an entry's scatter that they tell.
         """
-        told = np.where(self.counted, 1.0, scatter_share)
-        known, unknown = np.sqrt(1.0 - self.unseen) * told, np.sqrt(self.unseen)
+        known, unknown = np.sqrt(1.0 - self.unseen) * scatter_share, np.sqrt(self.unseen)
         found: Floats = seen * np.outer(known, known) + self.correlation * np.outer(unknown, unknown)
         return found
 
@@ -83,4 +79,4 @@ def events_along_axes(layout: Layout, pools: Mapping[str, Pool]) -> EventsAlongA
         whole = column.sum(1)
         correlation += np.outer(whole, whole) - column @ column.T
     np.fill_diagonal(correlation, 1.0)
-    return EventsAlongAxes(correlation, layout.each(lambda group: group.kind in COUNTED).astype(np.bool_), unseen)
+    return EventsAlongAxes(correlation, unseen)

@@ -36,7 +36,8 @@ def scene_of(range_m: Any, intensity: Any) -> LidarScene:
     azimuth = np.tile(np.linspace(-3.0, 3.0, COLUMNS), ROWS)
     parts = (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
     direction = torch.from_numpy(np.stack(parts, -1)).float()
-    return lidar_scene(StudyScene("s", frames, {}), direction, (ROWS, COLUMNS), ENERGY, True)
+    scene = StudyScene("s", frames, {})
+    return lidar_scene(scene, direction, (ROWS, COLUMNS), ENERGY, True, SENSOR.max_range_m)
 
 
 def noisy(rng: np.random.Generator, margin_db: Any, std: Any) -> Any:
@@ -92,13 +93,17 @@ def test_no_beam_of_a_bin_is_chosen_by_the_noise_of_its_own_frame() -> None:
 
 def test_a_surface_that_one_clear_frame_saw_is_something_new_beside_the_others() -> None:
     range_m, margin_db = FAR.copy(), np.linspace(2.0, 12.0, BEAMS)
-    range_m[:, 5] = range_m[:, 6] = range_m[:, 7] = 0.0
-    range_m[2, 5] = range_m[1, 6] = range_m[4, 6] = RANGE_M  # seen once, twice, never
+    sky = BEAMS - COLUMNS  # the topmost row
+    range_m[:, sky:] = 0.0
+    once, twice = sky + 5, sky + 26
+    range_m[2, once] = range_m[1, twice] = range_m[4, twice] = RANGE_M
     found = scene_of(range_m, np.where(range_m > 0, noisy(RNG(2), margin_db, 0.03), 0.0))
     expected = np.zeros((FRAMES + 1, BEAMS), bool)
-    expected[2, 5], expected[:, 7] = True, True
+    expected[:, sky:] = True
+    expected[:, [once, twice]] = False
+    expected[2, once] = True
     np.testing.assert_array_equal(found.empty.numpy(), expected)
-    assert not found.stable[5:8].any()
+    assert not found.stable[sky:].any()
 
 
 def test_the_clock_of_each_clear_frame_is_found() -> None:

@@ -23,6 +23,7 @@ from torch import Tensor
 from torchweather.core.recent import Recent
 from torchweather.gap.inference.effect_forms import searched_effects
 from torchweather.gap.sensors.lidar.forms import LIDAR_FORMS
+from torchweather.gap.sensors.lidar.open_beams import column_spacing_rad
 from torchweather.gap.sensors.lidar.reading_steps import in_steps
 from torchweather.gap.sensors.lidar.scene import LidarScene, lidar_scene
 from torchweather.gap.sensors.lidar.standing import place_of_standing
@@ -61,7 +62,6 @@ GAIN_SD = 0.02
 FOG_GAIN_SD = 0.1
 FOG_MISPLACED = 0.03  # of the returns of fog: how far down its peak a noisy waveform is read, order of magnitude
 FOG_RANGE_SHARE = 0.1  # of the pulse length, by which receivers differ in where they see fog; order of magnitude
-LEAST_SPACING_RAD = 1e-3  # of columns of beams, to which a place in azimuth is told
 DRAWN = 512  # random numbers of a stage, so that those of a setting are kept for every condition
 PARTICLE_GAINS = (1.0, 1.25, 2.0, 4.0, 16.0)  # factors by which effects may brighten particles, rounded up
 
@@ -101,7 +101,7 @@ class LidarFrames:
         self.energy = ToEnergy(self.sensor)
         with_intensity = self.sensor.intensity_unit != "none"
         self.scenes: dict[str, LidarScene] = {
-            name: lidar_scene(scene, self.direction, self.grid, self.energy, with_intensity)
+            name: lidar_scene(scene, self.direction, self.grid, self.energy, with_intensity, self.sensor.max_range_m)
             for name, scene in study.scenes.items()
         }
         self.open_shifts: AbstractSet[str] = {"log_intensity_ratio"} if with_intensity else set()
@@ -140,7 +140,7 @@ class LidarFrames:
         """Azimuth, rad, range, m, and width, rad, of what stands near a place in the frames to be explained."""
         frames = ((_stacked(one, "range_m"), self.scenes[one.scene].range_m) for one in self.fit if len(one.frames) > 1)
         return place_of_standing(
-            self.azimuth, _spacing_rad(self.azimuth.reshape(self.grid)), frames, azimuth_rad, range_m
+            self.azimuth, column_spacing_rad(self.azimuth.reshape(self.grid)), frames, azimuth_rad, range_m
         )
 
     def transform(self, condition: Condition) -> LidarWeather:
@@ -353,17 +353,6 @@ class LidarFrames:
     def reduce(self, scene_id: str, range_m: Tensor, intensity: Tensor, row: Tensor, portions: int = 1) -> Reduced:
         """Sums of frames ``(F, N)`` of a scene; arguments as ``LidarSums``."""
         return self._sums[scene_id](range_m, intensity, row, portions)
-
-
-def _spacing_rad(azimuth_rad: Tensor) -> float:
-    """Median distance of neighbouring columns of beams ``(H, W)``; a milliradian at least.
-
-    Example:
-        >>> round(_spacing_rad(torch.tensor([[3.1, -3.1, -3.017, -2.934]])), 3)  # across half a turn
-        0.083
-    """
-    apart = torch.remainder(azimuth_rad.diff(dim=-1) + math.pi, 2.0 * math.pi) - math.pi
-    return max(float(apart.abs().median()), LEAST_SPACING_RAD) if apart.numel() else 2.0 * math.pi
 
 
 def _stacked(condition: Condition, name: str) -> Tensor:

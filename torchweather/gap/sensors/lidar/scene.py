@@ -3,7 +3,7 @@
 A simulated frame starts from one clear frame and is compared with the others, a measured one with all but one too: both
 differ from what they are compared with by the noise of a frame of their own. A beam is *stable* where all clear frames
 see one surface, well above the threshold of detection, and *empty* where none of those that a frame is compared with
-sees anything; others are left out.
+sees anything and the beam ends in the sky; others are left out.
 
 References:
     GAP.md 3 (1, 2).
@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchweather.gap.sensors.lidar.open_beams import open_beams
 from torchweather.gap.sensors.lidar.reading_steps import frames_within_steps, reading_step
 from torchweather.gap.sensors.lidar.stable_beams import SAME_SURFACE_M, one_range
 from torchweather.gap.study.study import StudyScene
@@ -55,8 +56,8 @@ class LidarScene:
         reference_range_m, reference_intensity: ``(K + 1, N)`` mean over the clear frames other than k, the last row
             over all; 0 where it is not defined.
         stable: ``(N,)`` beams that see a surface.
-        empty: ``(K + 1, N)`` beams that saw nothing in any clear frame other than k; the last row in none. A surface at
-            the threshold that frame k alone saw is there in a simulated frame as it is in a measured one.
+        empty: ``(K + 1, N)`` beams to the sky that saw nothing in any clear frame other than k; the last row in none. A
+            surface at the threshold that frame k alone saw is there in a simulated frame as it is in a measured one.
         tolerance_m: how near to the reference a return is the surface's.
         noise_m: standard deviation of the range of the clear frames.
         reading_noise: standard deviation of ln(intensity) of the clear frames, beside what whole frames do.
@@ -96,7 +97,12 @@ class LidarScene:
 
 
 def lidar_scene(
-    scene: StudyScene, direction: Tensor, grid: tuple[int, int], energy: ToEnergy, with_intensity: bool
+    scene: StudyScene,
+    direction: Tensor,
+    grid: tuple[int, int],
+    energy: ToEnergy,
+    with_intensity: bool,
+    max_range_m: float,
 ) -> LidarScene:
     """A scene of a study, reduced to what frames are compared with.
 
@@ -106,6 +112,7 @@ def lidar_scene(
         grid: their rows and columns.
         energy: of the sensor; tells how far above the threshold a beam is.
         with_intensity: whether intensities mean anything.
+        max_range_m: of the sensor.
     """
     frames = [scene.clear[number] for number in range(len(scene.clear))]
     range_m, intensity = (
@@ -131,7 +138,7 @@ def lidar_scene(
     one_surface = one_range(range_m)
     # Of all frames: a beam that a single frame sees is not empty, nor is one stable that a single frame lacks.
     stable = (keep @ seen == frames_of).all(0) & one_surface
-    empty = count == 0
+    empty = (count == 0) & open_beams(mean_range.float(), direction, grid, max_range_m)
     usual = _spread(range_m.double() - mean_range[-1], (seen > 0) & one_surface)
     geometry = {
         name: torch.from_numpy(np.asarray(scene.geometry[name], dtype=np.float32)).reshape(-1)
