@@ -97,6 +97,25 @@ def test_no_rare_count_departs_by_more_than_its_deviance(mean: float) -> None:
         assert departure < 1.12 * max(np.sqrt(deviance), SCATTER.one_event_sd / 2.0)
 
 
+@pytest.mark.parametrize("alike", [True, False])
+def test_a_beam_that_is_lost_in_every_frame_is_one_event_where_others_are(alike: bool) -> None:
+    """In a bin in which no simulated frame loses one: as many losses of different beams are no chance."""
+    rng, beams, lost = np.random.default_rng(4), 400.0, 3.0
+    layout = Layout((Group("lost", "range_m", "share", EDGES),), (), (), ())
+    weight, empty = np.full((POOL, BINS), beams), np.zeros((POOL, 0))
+    value = np.full((POOL, BINS), lost) if alike else rng.poisson(lost, (POOL, BINS)).astype(float)
+    value[:, 0] = 0.0
+    pool = Pool(layout, Reduced(weight, value, value, empty, empty[..., None]), np.arange(POOL) % CLEAR)
+    size = {"rain": MeasuredSize(FRAMES, CLEAR)}
+    found = calibrated_scatter({"rain": pool}, size, {"rain": np.zeros(BINS)}, 0)["rain"]
+    measured = math.asin(math.sqrt(FRAMES / (FRAMES * beams)))  # one beam in each frame
+    departure = (measured - found.mean[0]) / math.sqrt(found.own[0])
+    if alike:
+        assert departure < 1.12 * SCATTER.one_event_sd
+    else:
+        assert departure > 4.0
+
+
 @pytest.mark.parametrize("least", [0.0, 0.3])
 def test_means_of_few_elements_are_no_surer_than_is_said(least: float) -> None:
     """Simulated frames that are all alike: of what only an effect brings they are no measure."""

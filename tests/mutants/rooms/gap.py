@@ -492,6 +492,14 @@ MUTANTS = (
         (f"{SELECTION}::test_a_step_is_doubled_only_where_the_least_lies_beyond_it",),
     ),
     Mutant(
+        "lost_beams_repeat_by_chance",
+        "a beam at the threshold that is lost in every frame is one event",
+        "torchweather.gap.inference.calibrated_scatter",
+        "repeated = 1.0 + (self.frames - 1) * (1.0 - min(dispersion, 1.0))",
+        "repeated = 1.0",
+        (f"{CALIBRATED}::test_a_beam_that_is_lost_in_every_frame_is_one_event_where_others_are",),
+    ),
+    Mutant(
         "beams_into_dark_sides_are_open",
         "a beam that ends at a dark side is not held against flakes behind it",
         "torchweather.gap.sensors.lidar.open_beams",
