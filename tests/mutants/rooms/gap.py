@@ -501,7 +501,7 @@ MUTANTS = (
     ),
     Mutant(
         "beams_into_dark_sides_are_open",
-        "a beam that ends at a dark side is not held against flakes behind it",
+        "a beam that ends at a dark side is not compared with flakes behind it",
         "torchweather.gap.sensors.lidar.open_beams",
         "torch.from_numpy(ends.end == BeamEnd.SKY)",
         "torch.from_numpy(ends.end != BeamEnd.GROUND)",

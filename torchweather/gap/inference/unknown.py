@@ -171,7 +171,7 @@ def without_means(found: Departures, z: Floats) -> Floats:
 
 
 def _made_by_means(found: Departures, group: Group, part: slice, variance: Floats) -> Floats:
-    """What a variance ``(C,)`` of means, within the bins of a spread, makes of its entries ``(C, bins)``."""
+    """Part ``(C, bins)`` of the entries of a spread that a variance ``(C,)`` of means within its bins makes."""
     entry, clear = found.measured[:, part], found.clear_spread.get(group.statistic)
     unit = 1.0 if clear is None else clear[:, None]
     spread = unit * (np.exp(entry) if clear is None else spread_of_log_square(entry))

@@ -2,7 +2,7 @@
 
 A dark car, a pane, a side seen at a glancing angle give no return either, and end the beam all the same: no flake
 behind them is seen. How far they are is not measured. So only beams that end in the sky, as far as their neighbours
-and the ground tell, are held against a simulation, in which they end at the maximum range.
+and the ground tell, are compared with a simulation, in which they end at the maximum range.
 
 References:
     ``beam_ends``: what a beam without a return met.
