@@ -73,8 +73,8 @@ MUTANTS = (
         "flicker_in_no_simulated_frame",
         "a surface at the threshold that one clear frame saw is there in frames simulated from it",
         LIDAR_SCENE,
-        "empty = count == 0",
-        "empty = (count == 0) & (count[-1:] == 0)",
+        "empty = (count == 0) & open_beams(",
+        "empty = (count == 0) & (count[-1:] == 0) & open_beams(",
         (f"{OF_SCENE}::test_a_surface_that_one_clear_frame_saw_is_something_new_beside_the_others",),
     ),
     Mutant(
@@ -495,8 +495,8 @@ MUTANTS = (
         "lost_beams_repeat_by_chance",
         "a beam at the threshold that is lost in every frame is one event",
         "torchweather.gap.inference.calibrated_scatter",
-        "repeated = 1.0 + (self.frames - 1) * (1.0 - min(dispersion, 1.0))",
-        "repeated = 1.0",
+        "if group.statistic in self.repeating else 0.0",
+        "if group.statistic == '' else 0.0",
         (f"{CALIBRATED}::test_a_beam_that_is_lost_in_every_frame_is_one_event_where_others_are",),
     ),
     Mutant(

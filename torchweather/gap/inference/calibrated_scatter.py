@@ -266,7 +266,7 @@ class _Counted:
         self, layout: Layout, pool: Pool, size: MeasuredSize, share: Floats, unseen: Mapping[str, float]
     ) -> None:
         frames, number = len(pool), size.frames
-        self.frames = number
+        self.frames, self.repeating = number, layout.repeating
         # Of what only K clear frames tell, frames of one clear frame are no further knowledge.
         self.independent = 1.0 / ((1.0 - share) / frames + share / min(size.clear_frames, frames))
         self.expected, self.variance = np.zeros(layout.size), np.zeros(layout.size)
@@ -300,14 +300,15 @@ class _Counted:
         """Variance below which one event more would count by more than the law of counting says of it.
 
         That law is as much narrower as the statistic's own frames are alike, but not where hardly any event is
-        expected: of an unseen place nothing says how often it repeats itself. An event there that repeats itself as
-        others do, such as a beam at the threshold that is lost in every frame, is no more than one.
+        expected: of an unseen place nothing says how often it repeats itself. Of a share that repeats itself an event
+        there that does so as others do, such as a beam at the threshold that is lost in every frame, is no more than
+        one.
         """
         expected = self.expected[part]
         narrower = (1.0 + min(dispersion, 1.0) * expected**2) / (1.0 + expected**2)
         allowed = np.minimum(one_event_sd(expected) / np.sqrt(narrower), SCATTER.one_event_sd)
-        repeated = 1.0 + (self.frames - 1) * (1.0 - min(dispersion, 1.0))
-        one, again = self.one_event(group, part), self.one_event(group, part, repeated)
+        repeats = (self.frames - 1) * (1.0 - min(dispersion, 1.0)) if group.statistic in self.repeating else 0.0
+        one, again = self.one_event(group, part), self.one_event(group, part, 1.0 + repeats)
         found: Floats = np.maximum(one / allowed**2, again / SCATTER.one_event_sd**2)
         return found
 

@@ -67,6 +67,7 @@ FROM_CLEAR = ("log_intensity_spread", "range_residual_spread")  # noise that sim
 
 ABOUT_CLEAR_MEAN = ("log_intensity_spread", "range_residual_spread")
 OF_SEEN = ("log_intensity_ratio",)
+REPEATING = ("lost_share", "lost_share_of_thin_targets")
 SAME_EVENTS = {
     "lost_share_of_thin_targets": "lost_share",
     "particles_before_objects": "new_share",
@@ -117,6 +118,7 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, b
         same_events=SAME_EVENTS,
         of_seen=OF_SEEN,
         near_counts=("near_particle_root",),
+        repeating=REPEATING,
     )
 
 
