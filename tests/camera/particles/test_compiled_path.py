@@ -295,6 +295,7 @@ def test_the_switch_and_what_is_installed_choose_the_path(monkeypatch: pytest.Mo
 
 
 def test_the_switch_leaves_numba_unimported(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert switch.uses_compiled()  # looked for once: found before it is hidden
     monkeypatch.setitem(sys.modules, "numba", None)  # importing it fails
     for name in ("compiled_marks", "compiled_haze", "compiled_veil"):
         monkeypatch.delitem(sys.modules, f"torchweather.camera.particles.{name}", raising=False)
