@@ -217,7 +217,7 @@ def test_a_spread_that_a_ripple_makes_is_not_what_is_unknown(clear: float | None
         less = without_means(found, z)
         np.testing.assert_array_equal(less[:, :16], z[:, :16])
         left = (entry(variance + own) - entry(variance)) / 0.01
-        assert z[0, -1] > 30
+        assert z[0, -1] > (40 if clear is None else 30)  # a mean logarithm of squares tells less of a ripple
         # The variance that the errors of the means add, 0.002^2, is taken off: 0.3 of a standard deviation.
         np.testing.assert_allclose(less[0, 16:], left, atol=0.4)
 

@@ -366,7 +366,8 @@ class LidarSums:
         torch.mul(ratio, at["ratio"], out=at["ratio2"])
         torch.mul(apart, same, out=at["apart"])
         torch.mul(apart, at["apart"], out=at["apart2"])
-        # Spreads are about the frame's own mean: a clock and a scale move whole frames, and rain dims with range.
+        # Spreads are about the frame's own middle: a clock moves all its ranges, a scale all its intensities, and rain
+        # dims with range.
         common_m = at["apart"].sum(1, keepdim=True) / same.sum(1, keepdim=True).clamp_min(1)
         middle = self._middle_by_range(ratio, bright, row)
         # Grow with the spread, and hardly with what lies far out: flakes right before the surface.
