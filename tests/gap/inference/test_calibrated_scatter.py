@@ -97,21 +97,20 @@ def test_no_rare_count_departs_by_more_than_its_deviance(mean: float) -> None:
         assert departure < 1.12 * max(np.sqrt(deviance), SCATTER.one_event_sd / 2.0)
 
 
-@pytest.mark.parametrize(("alike", "repeating"), [(True, True), (False, True), (True, False)])
-def test_a_beam_that_is_lost_in_every_frame_is_one_event_where_others_are(alike: bool, repeating: bool) -> None:
+@pytest.mark.parametrize(("alike", "repeated"), [(True, True), (False, True), (True, False)])
+def test_a_beam_that_is_lost_in_every_frame_is_one_event_where_others_are(alike: bool, repeated: bool) -> None:
     """In a bin in which no simulated frame loses one: as many losses of different beams are no chance."""
     rng, beams, lost = np.random.default_rng(4), 400.0, 3.0
-    names = ("lost",) if repeating else ()
-    layout = Layout((Group("lost", "range_m", "share", EDGES),), (), (), (), repeating=names)
+    layout = Layout((Group("lost", "range_m", "share", EDGES),), (), (), ())
     weight, empty = np.full((POOL, BINS), beams), np.zeros((POOL, 0))
     value = np.full((POOL, BINS), lost) if alike else rng.poisson(lost, (POOL, BINS)).astype(float)
     value[:, 0] = 0.0
     pool = Pool(layout, Reduced(weight, value, value, empty, empty[..., None]), np.arange(POOL) % CLEAR)
-    size = {"rain": MeasuredSize(FRAMES, CLEAR)}
+    size = {"rain": MeasuredSize(FRAMES, CLEAR, repeated=float(FRAMES if repeated else 1))}
     found = calibrated_scatter({"rain": pool}, size, {"rain": np.zeros(BINS)}, 0)["rain"]
     measured = math.asin(math.sqrt(FRAMES / (FRAMES * beams)))  # one beam in each frame
     departure = (measured - found.mean[0]) / math.sqrt(found.own[0])
-    if alike and repeating:
+    if alike and repeated:
         assert departure < 1.12 * SCATTER.one_event_sd
     else:
         assert departure > 4.0

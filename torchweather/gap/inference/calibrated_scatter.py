@@ -47,6 +47,8 @@ class MeasuredSize:
         time_s: of the frames.
         misplaced: share of the particles that the model may put into a neighbouring bin of range.
         clear_noise: ``(P,)`` variance of means of elements by the noise of one clear frame, over that of a frame.
+        repeated: ``(P,)`` measured frames in which the element of an event is counted, at the mean of all events: by so
+            much more than independent ones do their sums scatter.
     """
 
     frames: int
@@ -54,6 +56,7 @@ class MeasuredSize:
     time_s: Floats | None = None
     misplaced: float = 0.0
     clear_noise: Floats | float = 1.0
+    repeated: Floats | float = 1.0
 
 
 @dataclass(frozen=True)
@@ -266,7 +269,7 @@ class _Counted:
         self, layout: Layout, pool: Pool, size: MeasuredSize, share: Floats, unseen: Mapping[str, float]
     ) -> None:
         frames, number = len(pool), size.frames
-        self.frames, self.repeating = number, layout.repeating
+        self.repeated = np.broadcast_to(size.repeated, layout.size)
         # Of what only K clear frames tell, frames of one clear frame are no further knowledge.
         self.independent = 1.0 / ((1.0 - share) / frames + share / min(size.clear_frames, frames))
         self.expected, self.variance = np.zeros(layout.size), np.zeros(layout.size)
@@ -300,19 +303,18 @@ class _Counted:
         """Variance below which one event more would count by more than the law of counting says of it.
 
         That law is as much narrower as the statistic's own frames are alike, but not where hardly any event is
-        expected: of an unseen place nothing says how often it repeats itself. Of a share that repeats itself an event
-        there that does so as others do, such as a beam at the threshold that is lost in every frame, is no more than
-        one.
+        expected: of an unseen place nothing says how often it repeats itself. Where simulated events repeat themselves,
+        a measured one that does so, such as a beam at the threshold that is lost in every frame, is no more than one.
         """
         expected = self.expected[part]
         narrower = (1.0 + min(dispersion, 1.0) * expected**2) / (1.0 + expected**2)
         allowed = np.minimum(one_event_sd(expected) / np.sqrt(narrower), SCATTER.one_event_sd)
-        repeats = (self.frames - 1) * (1.0 - min(dispersion, 1.0)) if group.statistic in self.repeating else 0.0
-        one, again = self.one_event(group, part), self.one_event(group, part, 1.0 + repeats)
+        times = 1.0 + (self.repeated[part] - 1.0) * (1.0 - min(dispersion, 1.0))
+        one, again = self.one_event(group, part), self.one_event(group, part, times)
         found: Floats = np.maximum(one / allowed**2, again / SCATTER.one_event_sd**2)
         return found
 
-    def one_event(self, group: Group, part: slice, times: float = 1.0) -> Floats:
+    def one_event(self, group: Group, part: slice, times: Floats | float = 1.0) -> Floats:
         """Square by which a stabilised count or share changes with an event beyond the expected ones, seen so often."""
         expected = self.expected[part]
         step = np.sqrt(expected + times + ANSCOMBE) - np.sqrt(expected + ANSCOMBE)

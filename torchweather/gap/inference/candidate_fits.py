@@ -255,20 +255,21 @@ def fitted(
         if found and search.exhausted:
             break
         progress("fitting " + " and ".join([*point.values, template.id]))
-        values = {**point.values, template.id: _start(template, amplitude)}
-        starts = [(replace(point, values=values), base.nuisance)]
+        begun = _begun(search, base, point, template, amplitude)
+        there = replace(base, base=begun.base, nuisance=begun.nuisance)
+        starts = [(begun.point, begun.nuisance)]
         response = template.response
         shadowed = response @ base.nuisance(response) < NUMERICS.shadowed_shares[stands_far(point)] * (
             response @ response
         )
         if shadowed and place < profiled and not point.values:
             # The nuisances have moved to look like the effect while it was not there: profile over them beside it.
-            starts.append(_profiled_along(search, base, point, template, misfit))
+            start, nuisance = _profiled_along(search, base, point, template, misfit)
+            starts.append((start, search.nuisance_at(nuisance, base.base, begun.base)))
         fits = []
         for start, nuisance in starts:
-            fits.append(
-                search.fit(located(search, start, template.id, base), nuisance, base.base, NUMERICS.first_fit_steps)
-            )
+            start = located(search, start, template.id, there)
+            fits.append(search.fit(start, nuisance, begun.base, NUMERICS.first_fit_steps))
         fit = min(fits, key=lambda one: one.misfit)
         if stands_far(fit.point) and place < profiled and not point.values:
             # The nuisances may have settled in a wrong place: profile over them from zero beside the effect as found.
@@ -283,6 +284,31 @@ def fitted(
             found[place] = Candidate(one.id, fit, misfit - fit.misfit)
     own = [one for one in found if not is_another(search.model, one.fit.point.values)]
     return sorted(own or found, key=lambda candidate: candidate.fit.misfit)
+
+
+def _begun(
+    search: SimulatorLikelihood, base: Fit, point: ParameterPoint, template: ResponseTemplate, amplitude: float
+) -> Fit:
+    """The simulator where a fit of an effect begins, with the scatter there: where as much of its template's response
+    is expected as explains most, or at a weaker point of the template's grid where that is far from there.
+
+    The scatter of the model without the effect is not that of the model with it: where counts of a few are new, they
+    would be as many surprises, and a fit would take the effect away again.
+    """
+    grid = template.grid
+    tried = [_start(template, amplitude)]
+    if amplitude < NUMERICS.threshold_amplitude and not grid.effect.cuts:
+        weaker = grid.points[: template.number] if template.values == grid.points[template.number] else ()
+        tried += [_start(replace(template, values=values), 1.0) for values in weaker]
+    best: Fit | None = None
+    for values in tried:
+        there = replace(point, values={**point.values, template.id: values})
+        found = search.fit(there, base.nuisance, base.base, 0)
+        if best is not None and found.misfit > best.misfit:
+            break
+        best = found
+    assert best is not None
+    return best
 
 
 def refined(search: SimulatorLikelihood, fit: Fit) -> Fit:

@@ -80,7 +80,6 @@ class SimulatorLikelihood(ProfiledConditions):
         here = self._nuisance_at(point, nuisance, base)
         residual = self.departure(base, mean)
         cost = here.cost(residual)
-        begun = self.misfit(residual, here)
         covariance: Floats = np.zeros((len(names), len(names)))
         renewed = False
         for _ in range(iterations):
@@ -101,7 +100,7 @@ class SimulatorLikelihood(ProfiledConditions):
             elif gained > 10.0 * stalled:
                 renewed = False
         end = self._fit_at(point, here, base, covariance, names)
-        if end.misfit <= begun or point == start:
+        if point == start:
             return end
         # The scatter of where a step leads to is not known on the way: no fit ends worse than where it began.
         beginning = self._fit_at(start, nuisance, base, covariance, names)

@@ -90,6 +90,7 @@ class FrameModel(Protocol):
     effects: list[Effect]  # that it has already
     # Azimuth, rad, and range, m, of each cell of the map. A model that has them may say by ``standing(azimuth_rad,
     # range_m)`` where in and about one a thing stands in the measured frames: azimuth, range and width, or ``None``.
+    # One that knows its elements from frame to frame says by ``repeated(condition)`` what ``MeasuredSize`` has so.
     map_cells: list[tuple[float, float]]
     sizes: Mapping[str, float | Sequence[float]]  # as in candidates.lines
     open_shifts: AbstractSet[str]  # statistics whose even shift by the clear frames' own error is among what is open
@@ -156,6 +157,7 @@ class Observation:
         clear_frames: of its scene.
         left_open: as in ``FrameModel``.
         clear_noise: as in ``FrameModel``.
+        repeated: as in ``MeasuredSize``.
     """
 
     condition: Condition
@@ -166,6 +168,7 @@ class Observation:
     clear_frames: int = 1
     left_open: Floats | float = 0.0
     clear_noise: ClearNoise | None = None
+    repeated: Floats | float = 1.0
 
     @property
     def intensity_sd(self) -> float:
@@ -182,7 +185,8 @@ def observations(model: FrameModel, conditions: Sequence[Condition]) -> list[Obs
         vector = pool.vectors(np.arange(number)[None], condition.time_s)[0]
         known = (model.misplaced(condition), clear, model.left_open(condition), model.clear_noise(condition))
         enough = pool.enough(number) & pool.mostly_seen(Pool(model.layout, model.clear(condition.scene)))
-        found.append(Observation(condition, vector, enough, number, *known))
+        repeated = getattr(model, "repeated", lambda condition: 1.0)(condition)
+        found.append(Observation(condition, vector, enough, number, *known, repeated))
     return found
 
 
@@ -370,6 +374,7 @@ def simulated_distribution(
             t.condition.time_s,
             t.misplaced,
             1.0 if t.clear_noise is None else t.clear_noise.passed,
+            t.repeated,
         )
         for t in measured
     }

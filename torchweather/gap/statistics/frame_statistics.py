@@ -99,7 +99,6 @@ class Layout:
         same_events: counted statistics to another one that counts the same events.
         of_seen: statistics whose values also decide which elements are seen in weather.
         near_counts: scalars that are stabilised numbers of particles nearer than an edge of range.
-        repeating: shares of elements to which the same happens in every frame, as to a beam at the threshold.
     """
 
     binned: tuple[Group, ...]
@@ -113,7 +112,6 @@ class Layout:
     same_events: Mapping[str, str] = field(default_factory=dict)
     of_seen: tuple[str, ...] = ()
     near_counts: tuple[str, ...] = ()
-    repeating: tuple[str, ...] = ()
 
     @property
     def groups(self) -> tuple[Group, ...]:

@@ -69,6 +69,31 @@ def test_compiled_sums_are_those_of_torch(model: LidarFrames, study: Study, monk
         assert not np.array_equal(found[0].value, found[1].value)  # two paths indeed
 
 
+def test_repeated_losses_are_those_of_a_plain_loop(model: LidarFrames, study: Study) -> None:
+    rng, scene = np.random.default_rng(6), model.scenes["s0"]
+    range_m = stacked(study.conditions[0].frames, "range_m")
+    range_m[:, rng.random(range_m.shape[1]) < 0.1] = 0.0  # in every frame
+    range_m[rng.random(range_m.shape) < 0.1] = 0.0  # in some
+    found, partly = model._sums["s0"].repeated(torch.from_numpy(range_m), torch.arange(FRAMES) % CLEAR), 0
+    for one, part in zip(model.layout.groups, model.layout.slices, strict=True):
+        if not one.statistic.startswith("lost_share") or one.kind != "share":
+            np.testing.assert_array_equal(found[part], 1.0)
+            continue
+        for place, value in enumerate(found[part]):
+            times: dict[int, int] = {}
+            for frame, values in enumerate(range_m):
+                row = frame % CLEAR
+                for beam in np.flatnonzero(scene.stable.numpy() & (values == 0)):
+                    if scene.bins[one.axis][row, beam] == place:
+                        times[beam] = times.get(beam, 0) + 1
+            losses = [own for own in times.values() for _ in range(own)]
+            expected = sum(losses) / len(losses) if losses else 1.0
+            assert value == pytest.approx(expected), (one.statistic, one.axis, place)
+            partly += 1.0 < expected < FRAMES
+    assert partly > 20
+    np.testing.assert_array_equal(model.repeated(study.conditions[0]), 1.0)  # next to nothing is lost in this snow
+
+
 # ---- what a frame is compared with -----------------------------------------------------------------------------------
 
 

@@ -126,9 +126,16 @@ class LidarFrames:
     def measured(self, condition: Condition) -> Reduced:
         """The condition's own frames."""
         range_m, intensity = (_stacked(condition, name) for name in ("range_m", "intensity"))
-        # Compared with all clear frames but one, as simulated frames are.
-        row = torch.arange(len(range_m)) % len(self.scenes[condition.scene].range_m)
-        return self.reduce(condition.scene, range_m, intensity, row)
+        return self.reduce(condition.scene, range_m, intensity, self._row_of(condition))
+
+    def repeated(self, condition: Condition) -> NDArray[np.float64]:
+        """``(P,)`` of the condition's own frames, as ``LidarSums.repeated`` has it."""
+        return self._sums[condition.scene].repeated(_stacked(condition, "range_m"), self._row_of(condition))
+
+    def _row_of(self, condition: Condition) -> Tensor:
+        """``(F,)`` what the condition's own frames are compared with: all clear frames but one, as simulated ones
+        are."""
+        return torch.arange(len(condition.frames)) % len(self.scenes[condition.scene].range_m)
 
     def clear(self, scene_id: str, portions: int = 1) -> Reduced:
         """The clear frames of a scene, each compared with the others; ``portions`` as in ``reduce``."""

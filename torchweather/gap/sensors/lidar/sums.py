@@ -67,7 +67,6 @@ FROM_CLEAR = ("log_intensity_spread", "range_residual_spread")  # noise that sim
 
 ABOUT_CLEAR_MEAN = ("log_intensity_spread", "range_residual_spread")
 OF_SEEN = ("log_intensity_ratio",)
-REPEATING = ("lost_share", "lost_share_of_thin_targets")
 SAME_EVENTS = {
     "lost_share_of_thin_targets": "lost_share",
     "particles_before_objects": "new_share",
@@ -118,7 +117,6 @@ def lidar_layout(edges: Mapping[str, tuple[float, ...]], with_intensity: bool, b
         same_events=SAME_EVENTS,
         of_seen=OF_SEEN,
         near_counts=("near_particle_root",),
-        repeating=REPEATING,
     )
 
 
@@ -297,6 +295,20 @@ class LidarSums:
             1,
         )
         return Reduced(weight, value, square, scalar.numpy(), maps[:, None].numpy())
+
+    def repeated(self, range_m: Tensor, row: Tensor) -> NDArray[np.float64]:
+        """``(P,)`` frames ``(F, N)`` in which the beam of a loss is lost, at the mean of all losses of a bin; 1 of what
+        else is counted. A beam at the threshold may be lost in all of them, one that a filter takes in one."""
+        found = np.ones(self.layout.size)
+        for group, part in zip(self.layout.groups, self.layout.slices, strict=True):
+            if group.kind != "share" or SUMS[group.statistic][1] != "lost":
+                continue
+            beams = self.surfaces if group.axis in self.surfaces.bins else self.standing
+            bins, lost = beams.bins[group.axis][row], range_m[:, beams.beam] <= 0
+            here = lost & (bins == torch.arange(group.bins)[:, None, None])  # (bins, F, S)
+            times = here.sum(1)  # (bins, S)
+            found[part] = (times.square().sum(1) / times.sum(1).clamp_min(1)).clamp_min(1.0).numpy()
+        return found
 
     def _of_surfaces(
         self, range_m: Tensor, intensity: Tensor, row: Tensor, portion: Tensor, portions: int
