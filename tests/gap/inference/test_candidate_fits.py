@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from torchweather.gap.inference import candidate_fits
 from torchweather.gap.inference.candidate_fits import (
+    _begun,
     _least,
     _profiled_along,
     from_rest,
     refined,
 )
 from torchweather.gap.inference.config import NUMERICS
+from torchweather.gap.inference.profiled_conditions import Fit
 from torchweather.gap.inference.response_templates import ResponseTemplate
 from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.starting_points import ParameterGrid, parameter_grids
@@ -115,3 +118,59 @@ def test_from_rest_nothing_stands_farther_than_it_may_and_by_no_more_than_two_of
     (found,) = from_rest(search, base, [ResponseTemplate(grid, 0, grid.points[0], 8.0 * gain + pattern)])
     assert found[0].id == "lidar.window_loss"
     assert found[1] == pytest.approx(amplitude, abs=0.01)
+
+
+def begun_at(truth: float, amplitude: float, number: int) -> tuple[Any, list[float]]:
+    """Where a fit of crosstalk begins, and what was tried, on a simulator whose misfit is least at a probability."""
+    tried: list[float] = []
+
+    def fit(point: ParameterPoint, nuisance: Any, base: Any, iterations: int) -> Any:
+        assert (nuisance, base, iterations) == ("nuisances", "without it", 0)
+        tried.append(next(iter(point.values["lidar.crosstalk"].values())))
+        return SimpleNamespace(point=point, base=f"scatter {tried[-1]:g}", misfit=abs(math.log(tried[-1] / truth)))
+
+    (grid,) = parameter_grids(EFFECTS["lidar.crosstalk"], [])
+    template = ResponseTemplate(grid, number, grid.points[number], np.zeros(3))
+    base: Any = SimpleNamespace(nuisance="nuisances", base="without it")
+    search: Any = SimpleNamespace(fit=fit)
+    return _begun(search, base, ParameterPoint(), template, amplitude), tried
+
+
+def test_a_fit_begins_at_a_weaker_point_where_the_share_of_a_strong_response_is_too_much() -> None:
+    """A share of the response to many events is not that to the first few: it asks for far too many of them."""
+    (grid,) = parameter_grids(EFFECTS["lidar.crosstalk"], [])
+    weak, strong = grid.points[0]["probability"], grid.points[-1]["probability"]
+    found, tried = begun_at(weak, 0.02, len(grid.points) - 1)
+    assert found.point.values["lidar.crosstalk"]["probability"] == pytest.approx(weak)
+    assert found.base == f"scatter {weak:g}"  # of where it begins
+    # The share first, then from weak to strong until one is worse: no further frames.
+    assert tried == pytest.approx([max(0.02, NUMERICS.least_amplitude) * strong, weak, grid.points[1]["probability"]])
+    # Most of a response is expected: nothing else is tried.
+    found, tried = begun_at(weak, 0.9, len(grid.points) - 1)
+    assert tried == pytest.approx([0.9 * strong])
+
+
+def test_a_fit_has_the_scatter_of_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scatter without an effect takes its first events for miracles, and the fit takes the effect away."""
+    start: Any = SimpleNamespace(point=ParameterPoint({"lidar.crosstalk": {}}), base="its own", nuisance="there")
+    asked: list[Any] = []
+
+    def fit(point: ParameterPoint, nuisance: Any, base: Any, iterations: int) -> Any:
+        asked.append((nuisance, base))
+        return SimpleNamespace(point=point, misfit=3.0, base=base, nuisance=nuisance)
+
+    def unmoved(search: Any, point: ParameterPoint, name: str, like: Any) -> ParameterPoint:
+        asked.append((like.nuisance, like.base))
+        return point
+
+    monkeypatch.setattr(candidate_fits, "_begun", lambda *arguments: start)
+    monkeypatch.setattr(candidate_fits, "located", unmoved)
+    monkeypatch.setattr(candidate_fits, "refined", lambda search, one: one)
+    monkeypatch.setattr(candidate_fits, "is_another", lambda model, values: False)
+    (grid,) = parameter_grids(EFFECTS["lidar.crosstalk"], [])
+    template = ResponseTemplate(grid, 0, grid.points[0], np.ones(2))
+    base: Any = Fit(ParameterPoint(), None, np.zeros(2), lambda values: values, 5.0, np.zeros((0, 0)), ())  # type: ignore[arg-type]
+    search: Any = SimpleNamespace(fit=fit, exhausted=False, model=None)
+    (found,) = candidate_fits.fitted(search, base, [(ParameterPoint(), template, 1.0)], 5.0, lambda text: None)
+    assert asked == [("there", "its own"), ("there", "its own")]
+    assert found.gain == 2.0

@@ -17,6 +17,8 @@ DISTRIBUTION = "tests/gap/inference/test_simulated_distribution.py"
 CALIBRATED = "tests/gap/inference/test_calibrated_scatter.py"
 RADAR_FRAMES = "tests/gap/sensors/radar/test_radar_frames.py"
 LIDAR_SCENE = "torchweather.gap.sensors.lidar.scene"
+LIDAR_FRAMES = "tests/gap/sensors/lidar/test_lidar_frames.py"
+CANDIDATES = "tests/gap/inference/test_candidate_fits.py"
 
 MUTANTS = (
     Mutant(
@@ -908,6 +910,30 @@ MUTANTS = (
         "found, tried = min(((cost(one), one) for one in map(moved, ways)), key=lambda one: one[0])",
         "found, tried = next((c for c in ((cost(a), a) for a in map(moved, ways)) if c[0] < best), (best, point))",
         ("tests/gap/inference/test_likelihood.py::test_a_thing_is_found_on_the_better_side",),
+    ),
+    Mutant(
+        "fits_have_the_scatter_without_the_effect",
+        "the first events of an effect are no miracles where it is fitted",
+        "torchweather.gap.inference.candidate_fits",
+        "fits.append(search.fit(start, nuisance, begun.base, NUMERICS.first_fit_steps))",
+        "fits.append(search.fit(start, nuisance, base.base, NUMERICS.first_fit_steps))",
+        (f"{CANDIDATES}::test_a_fit_has_the_scatter_of_its_start",),
+    ),
+    Mutant(
+        "fits_begin_at_a_share_of_many_events",
+        "a fit begins at a weaker point where a share of a strong response is too much",
+        "torchweather.gap.inference.candidate_fits",
+        "if amplitude < NUMERICS.threshold_amplitude and not grid.effect.cuts:",
+        "if False:",
+        (f"{CANDIDATES}::test_a_fit_begins_at_a_weaker_point_where_the_share_of_a_strong_response_is_too_much",),
+    ),
+    Mutant(
+        "losses_are_averaged_over_beams",
+        "the scatter of repeated losses goes with the repeats of a loss, not of a beam",
+        "torchweather.gap.sensors.lidar.sums",
+        "times.square().sum(1) / times.sum(1).clamp_min(1)",
+        "times.sum(1) / (times > 0).sum(1).clamp_min(1)",
+        (f"{LIDAR_FRAMES}::test_repeated_losses_are_those_of_a_plain_loop",),
     ),
     Mutant(
         "a_fit_may_end_worse_than_it_began",
