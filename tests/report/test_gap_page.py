@@ -21,6 +21,7 @@ from torchweather.lidar.effects.all import EFFECTS
 from torchweather.report.gap_figures import curve_uri, residual_uri, response_uri
 from torchweather.report.gap_page import write_gap
 from torchweather.report.gap_words import exact_twins, gap_sentence, group_name, parameter_rows, verdict_sentence
+from torchweather.report.tables import number_text
 
 VERDICTS = ("none", "named", "named_and_rest", "unknown")
 
@@ -460,3 +461,16 @@ def test_neighbouring_axes_have_names_of_their_own() -> None:
         "Green light over clear air's, by elevation, near by",
         "Green light over clear air's, by elevation, far",
     )
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_scan_without_departing_places_says_what_one_would_take(study: Study, tmp_path: Path) -> None:
+    """A map of no departures above curves that depart is no contradiction: a curve adds many places up."""
+    found = report("named", study)
+    assert found.places is not None
+    chance = np.full_like(found.places.before, 0.4 + np.nanmax(np.abs(found.places.before)))
+    write_gap(tmp_path / "out", study, replace(found, places=replace(found.places, chance=chance)))
+    words = words_of(tmp_path / "out")
+    least, unit = 3.0 * chance[0], found.places.values.unit
+    assert ": 0 of " in words
+    assert f"a single place stands out only where it departs by {number_text(least)} {unit} or more" in words

@@ -102,7 +102,12 @@ def gap_page(study: Study, report: GapReport, *, effects: Sequence[str] | None =
     answer, findings = report.to_dict(), diagnose(study)
     searched = [name for name in answer["catalogue"] if effects is None or name in effects]
     nothing = answer["verdict"] == "none"
-    where = [*_picture(study, report), *_where(study, report, answer), *_confined(searched, effects), *_limits(answer)]
+    where = [
+        *_picture(study, report, answer),
+        *_where(study, report, answer),
+        *_confined(searched, effects),
+        *_limits(answer),
+    ]
     sections = [Section("Where", where)]
     if not nothing:
         sections += [what_section(answer), ranking_section(answer, report.responses)]
@@ -139,7 +144,7 @@ def gap_page(study: Study, report: GapReport, *, effects: Sequence[str] | None =
 # ---- where -----------------------------------------------------------------------------------------------------------
 
 
-def _picture(study: Study, report: GapReport) -> list[parts.Part]:
+def _picture(study: Study, report: GapReport, answer: Mapping[str, Any]) -> list[parts.Part]:
     """The frame or scan of the condition that departs most, its departing places in colour."""
     places = report.places
     if places is None:
@@ -151,6 +156,11 @@ def _picture(study: Study, report: GapReport) -> list[parts.Part]:
     text = f"""{places.values.quantity.capitalize()}, {places.values.unit}, in the condition that departs most, {name}:
         mean of what was measured less the mean of what was simulated. A place is coloured where the two are more than
         {DEPARTS:g} standard deviations of chance apart: {before} of {of}. By chance alone it would be {by_chance}."""
+    if before <= max(1.0, BY_CHANCE * of) and answer["verdict"] != "none":
+        least = number_text(DEPARTS * float(np.nanmedian(places.chance)))
+        text += f""" With {places.frames} frames a single place stands out only where it departs by {least}
+            {places.values.unit} or more, at the median of the places. The curves below add many places up: they show
+            less."""
     alt = f"{places.values.quantity}, measured less simulated, at {of} places of {places.condition}"
     return [parts.Paragraph(text), parts.Figure(places_uri(places), alt, look="wide")]
 

@@ -1,7 +1,8 @@
 """Compiled sums of a LiDAR frame: what became of each stable beam, and its sums over bins, in one pass over the beams.
 
 The same values as ``LidarSums`` has by torch, with polynomials for ln (relative error below 2e-7) and sums in double
-precision.
+precision. A beam is added up once, in the cell of all beams that have the same bins along all axes; the sums of cells
+are then those of their bins.
 """
 
 from __future__ import annotations
@@ -14,12 +15,36 @@ from numpy.typing import NDArray
 from torchweather.core.compiled import jit
 from torchweather.core.compiled_math import log_of_sum
 
-__all__ = ["ParticleBins", "Surfaces", "sum_frame", "sum_particles"]
+__all__ = ["Cells", "ParticleBins", "Surfaces", "cells_of", "count_beams", "sum_frame", "sum_particles"]
 
 Array = NDArray[np.float32]
 Places = NDArray[np.int32]
 
 ZERO, ONE = np.float32(0), np.float32(1)
+LOST, BEFORE, BEYOND, DARK, BRIGHT = (np.int8(kind) for kind in range(5))  # the last two see the surface
+
+
+class Cells(NamedTuple):
+    """Beams by the bins that they lie in along several axes.
+
+    Args:
+        of_beam: ``(S,)`` the cell of each beam.
+        bins: ``(axes, cells)`` places of each cell's bins among the sums, -1 outside.
+    """
+
+    of_beam: Places
+    bins: Places
+
+
+def cells_of(places: Places) -> Cells:
+    """Cells of beams with places ``(axes, S)`` of their bins.
+
+    Example:
+        >>> cells_of(np.array([[0, 1, 0], [4, 4, 4]], np.int32)).of_beam.tolist()
+        [0, 1, 0]
+    """
+    bins, of_beam = np.unique(places, axis=1, return_inverse=True)
+    return Cells(of_beam.reshape(-1).astype(np.int32), np.ascontiguousarray(bins, dtype=np.int32))
 
 
 class Surfaces(NamedTuple):
@@ -28,9 +53,9 @@ class Surfaces(NamedTuple):
     Args:
         beam: ``(S,)`` their places among all beams.
         range_m, intensity: ``(S,)`` of the reference.
-        of_reference: ``(axes, S)`` places of their bins along axes that follow the reference, -1 outside.
-        of_beam: ``(axes, S)`` places of their bins along axes that belong to the beam, -1 outside.
-        range_axis: which of the former is that of range: intensities spread about their middle in its bins.
+        by_reference: their bins along axes that follow the reference.
+        by_beam: their bins along axes that belong to the beam.
+        range_bin: ``(S,)`` of the former, that of range, -1 outside: intensities spread about their middle in it.
         tolerance_m: how near to the reference a return is the surface's.
         noise_m, reading_noise: standard deviations of the range and of ln(intensity) of clear frames.
         faintest: intensity, at least.
@@ -40,9 +65,9 @@ class Surfaces(NamedTuple):
     beam: Places
     range_m: Array
     intensity: Array
-    of_reference: Places
-    of_beam: Places
-    range_axis: int
+    by_reference: Cells
+    by_beam: Cells
+    range_bin: Places
     tolerance_m: np.float32
     noise_m: np.float32
     reading_noise: np.float32
@@ -97,82 +122,119 @@ def sum_frame(
         surfaces: of the scene.
     """
     count = surfaces.beam.size
-    kinds = np.empty(count, np.int8)  # 0 lost, 1 before, 2 beyond, 3 the same without intensity, 4 with
-    aparts, ratios = np.empty(count, np.float32), np.empty(count, np.float32)
+    kinds = np.empty(count, np.int8)
+    aparts, ratios, wides, evens = (
+        np.empty(count, np.float32),
+        np.empty(count, np.float32),
+        np.empty(count, np.float32),
+        np.empty(count, np.float32),
+    )
+    _look(kinds, aparts, ratios, range_m, intensity, surfaces)
     apart_sum, same = 0.0, 0
-    bins = of_reference.shape[0]
-    bright, ratio_sum = np.zeros(bins, np.int32), np.zeros(bins)
     for at in range(count):
-        seen_m, level = range_m[surfaces.beam[at]], intensity[surfaces.beam[at]]
-        apart = seen_m - surfaces.range_m[at]
-        kind = np.int8(0)
-        if seen_m > ZERO:
-            if apart <= -surfaces.tolerance_m:
-                kind = np.int8(1)
-            elif apart >= surfaces.tolerance_m:
-                kind = np.int8(2)
-            else:
-                kind = np.int8(4 if level > ZERO else 3)
-                apart_sum += apart
-                same += 1
-        if kind == 4:
-            ratios[at] = log_of_sum(ZERO, max(level, surfaces.faintest) / surfaces.intensity[at])
-            place = surfaces.of_reference[surfaces.range_axis, at]
-            if place >= 0:
-                ratio_sum[place] += ratios[at]
-                bright[place] += 1
-        kinds[at], aparts[at] = kind, apart
-        before[at] = kind == 1
-    common_m = np.float32(apart_sum / max(same, 1))
-    centre = (ratio_sum / np.maximum(bright, 1)).astype(np.float32)
-    farthest, step = surfaces.far_out * surfaces.reading_noise, np.zeros(bins)
+        before[at] = kinds[at] == BEFORE
+        if kinds[at] >= DARK:
+            apart_sum += aparts[at]
+            same += 1
+    middle = _middles(kinds, ratios, of_reference.shape[0], surfaces)
+    _spread(wides, aparts, np.float32(apart_sum / max(same, 1)), surfaces.noise_m)
+    _spread_by_range(evens, ratios, middle, surfaces)
+    # Columns as those of the two results.
+    cells = np.zeros((surfaces.by_reference.bins.shape[1], of_reference.shape[1]))
+    others = np.zeros((surfaces.by_beam.bins.shape[1], of_beam.shape[1]))
     for at in range(count):
-        place = surfaces.of_reference[surfaces.range_axis, at]
-        if kinds[at] == 4 and place >= 0:
-            step[place] += min(max(ratios[at] - centre[place], -farthest), farthest)
-    centre += (step / np.maximum(bright, 1)).astype(np.float32)
-    for at in range(count):
-        kind = kinds[at]
-        if kind < 3:
-            for axis in range(surfaces.of_reference.shape[0]):
-                place = surfaces.of_reference[axis, at]
-                if place >= 0:
-                    of_reference[place, kind] += 1.0
-            for axis in range(surfaces.of_beam.shape[0]):
-                place = surfaces.of_beam[axis, at]
-                if place >= 0:
-                    of_beam[place, kind] += 1.0
+        kind, cell, other = kinds[at], surfaces.by_reference.of_beam[at], surfaces.by_beam.of_beam[at]
+        if kind < DARK:
+            cells[cell, kind] += 1.0
+            others[other, kind] += 1.0
             continue
-        apart = aparts[at]
-        away = (apart - common_m) / surfaces.noise_m
-        wide = log_of_sum(ONE, away * away)
-        dark, ratio, even = ONE, ZERO, ZERO
-        if kind == 4:
-            dark, ratio = ZERO, ratios[at]
-            place = surfaces.of_reference[surfaces.range_axis, at]
+        apart, wide = np.float64(aparts[at]), np.float64(wides[at])
+        cells[cell, 6] += apart
+        cells[cell, 7] += apart * apart
+        cells[cell, 8] += wide
+        cells[cell, 9] += wide * wide
+        if kind == DARK:
+            cells[cell, 3] += 1.0
+            others[other, 3] += 1.0
+            continue
+        ratio, even = np.float64(ratios[at]), np.float64(evens[at])
+        cells[cell, 4] += ratio
+        cells[cell, 5] += ratio * ratio
+        cells[cell, 10] += even
+        cells[cell, 11] += even * even
+        others[other, 4] += ratio
+        others[other, 5] += ratio * ratio
+    _into_bins(of_reference, cells, surfaces.by_reference.bins)
+    _into_bins(of_beam, others, surfaces.by_beam.bins)
+
+
+@jit
+def _look(
+    kinds: NDArray[np.int8], aparts: Array, ratios: Array, range_m: Array, intensity: Array, of: Surfaces
+) -> None:
+    """What each stable beam sees, how far behind the reference, and ln of the intensity over its: written, each."""
+    for at in range(of.beam.size):
+        seen_m, level = range_m[of.beam[at]], intensity[of.beam[at]]
+        apart = seen_m - of.range_m[at]
+        kind = DARK if level <= ZERO else BRIGHT
+        kind = BEFORE if apart <= -of.tolerance_m else (BEYOND if apart >= of.tolerance_m else kind)
+        kinds[at], aparts[at] = kind if seen_m > ZERO else LOST, apart
+        ratios[at] = log_of_sum(ZERO, max(level, of.faintest) / of.intensity[at])
+
+
+@jit
+def _middles(kinds: NDArray[np.int8], ratios: Array, bins: int, of: Surfaces) -> Array:
+    """Middle of the ratios in each bin of range: one step of Huber's estimate from their mean."""
+    bright, summed, step = np.zeros(bins, np.int32), np.zeros(bins), np.zeros(bins)
+    for at in range(kinds.size):
+        place = of.range_bin[at]
+        if kinds[at] == BRIGHT and place >= 0:
+            summed[place] += ratios[at]
+            bright[place] += 1
+    middle = (summed / np.maximum(bright, 1)).astype(np.float32)
+    farthest = of.far_out * of.reading_noise
+    for at in range(kinds.size):
+        place = of.range_bin[at]
+        if kinds[at] == BRIGHT and place >= 0:
+            step[place] += min(max(ratios[at] - middle[place], -farthest), farthest)
+    return middle + (step / np.maximum(bright, 1)).astype(np.float32)
+
+
+@jit
+def _spread(out: Array, values: Array, middle: np.float32, one: np.float32) -> None:
+    """``ln(1 + square)`` of departures from a middle, in so large units: written."""
+    for at in range(values.size):
+        away = (values[at] - middle) / one
+        out[at] = log_of_sum(ONE, away * away)
+
+
+@jit
+def _spread_by_range(out: Array, ratios: Array, middle: Array, of: Surfaces) -> None:
+    """The same of the ratios, from the middle of their bin of range."""
+    for at in range(ratios.size):
+        away = (ratios[at] - middle[max(of.range_bin[at], 0)]) / of.reading_noise
+        out[at] = log_of_sum(ONE, away * away)
+
+
+@jit
+def _into_bins(sums: NDArray[np.float64], cells: NDArray[np.float64], bins: Places) -> None:
+    """Add sums of cells ``(cells, columns)`` up in their bins."""
+    for axis in range(bins.shape[0]):
+        for cell in range(bins.shape[1]):
+            place = bins[axis, cell]
             if place >= 0:
-                off = (ratio - centre[place]) / surfaces.reading_noise
-                even = log_of_sum(ONE, off * off)
-        for axis in range(surfaces.of_reference.shape[0]):
-            place = surfaces.of_reference[axis, at]
-            if place >= 0:
-                row = of_reference[place]
-                row[3] += dark
-                row[4] += ratio
-                row[5] += ratio * ratio
-                row[6] += apart
-                row[7] += apart * apart
-                row[8] += wide
-                row[9] += wide * wide
-                row[10] += even
-                row[11] += even * even
-        for axis in range(surfaces.of_beam.shape[0]):
-            place = surfaces.of_beam[axis, at]
-            if place >= 0:
-                row = of_beam[place]
-                row[3] += dark
-                row[4] += ratio
-                row[5] += ratio * ratio
+                for column in range(cells.shape[1]):
+                    sums[place, column] += cells[cell, column]
+
+
+@jit
+def count_beams(number: NDArray[np.float64], which: NDArray[np.bool_], by_beam: Cells) -> None:
+    """Number of some beams ``(S,)`` in each bin ``(bins,)``: written."""
+    cells = np.zeros((by_beam.bins.shape[1], 1))
+    for at in range(which.size):
+        if which[at]:
+            cells[by_beam.of_beam[at], 0] += 1.0
+    _into_bins(number.reshape(-1, 1), cells, by_beam.bins)
 
 
 @jit

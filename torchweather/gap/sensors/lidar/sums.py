@@ -25,7 +25,7 @@ from torchweather.gap.sensors.lidar.scene import CLUSTER_M, FAINTEST, LidarScene
 from torchweather.gap.statistics.frame_statistics import Group, Layout, Reduced
 
 if TYPE_CHECKING:
-    from torchweather.gap.sensors.lidar.compiled_sums import Surfaces
+    from torchweather.gap.sensors.lidar.compiled_sums import Cells, Surfaces
 
 __all__ = ["LidarSums", "lidar_layout", "map_cells"]
 
@@ -247,6 +247,7 @@ class LidarSums:
             for which in range(3)
         ]
         self._compiled_surfaces: dict[int, Surfaces] = {}
+        self._compiled_nothing: dict[int, Cells] = {}
 
     def _places_of_sums(self) -> dict[tuple[str, str], Tensor]:
         """Places of the sums of a value along an axis among all sums of a frame."""
@@ -278,7 +279,7 @@ class LidarSums:
         portion = self._portions(range_m.shape[1], portions)
         before, of_surfaces, of_standing = self._of_surfaces(range_m, intensity, row, portion, portions)
         particles, maps, near = self._particles(range_m, intensity, before, of_empty, portion, portions)
-        number, summed = self.nothing.summed(of_empty[:, None].float(), row, portion, portions)
+        number, summed = self._of_nothing(of_empty, row, portion, portions)
         blocks = (_with_counts(*of_surfaces), _with_counts(*of_standing), _beside(number, summed), particles)
         sums = torch.cat([block.flatten(1) for block in blocks], 1)
         weight, value, square = (sums[:, place].numpy() for place in self._entries)
@@ -343,17 +344,18 @@ class LidarSums:
 
     def _surfaces_of(self, reference: int) -> Surfaces:
         """The stable beams beside one reference, as compiled loops take them."""
-        from torchweather.gap.sensors.lidar.compiled_sums import Surfaces
+        from torchweather.gap.sensors.lidar.compiled_sums import Surfaces, cells_of
 
         scene = self.scene
         if reference not in self._compiled_surfaces:
+            by_reference = self.surfaces.places(reference)
             self._compiled_surfaces[reference] = Surfaces(
                 self.surfaces.beam.int().numpy(),
                 self._reference[reference].float().contiguous().numpy(),
                 self._reference_intensity[reference].float().contiguous().numpy(),
-                self.surfaces.places(reference),
-                self.standing.places(reference),
-                list(self.surfaces.bins).index("range_m"),
+                cells_of(by_reference),
+                cells_of(self.standing.places(reference)),
+                by_reference[list(self.surfaces.bins).index("range_m")],
                 *map(np.float32, (scene.tolerance_m, scene.noise_m, scene.reading_noise, FAINTEST, FAR_OUT)),
             )
         return self._compiled_surfaces[reference]
@@ -407,6 +409,20 @@ class LidarSums:
 
         middle, farthest = mean(ratio), FAR_OUT * self.scene.reading_noise
         return middle + mean((ratio - middle).clamp(-farthest, farthest))
+
+    def _of_nothing(self, of_empty: Tensor, row: Tensor, portion: Tensor, portions: int) -> tuple[Tensor, Tensor]:
+        """Number of empty beams along their axes ``(F, bins)``, and of those that see a particle ``(F, 1, bins)``."""
+        if portions > 1 or not uses_compiled():
+            return self.nothing.summed(of_empty[:, None].float(), row, portion, portions)
+        from torchweather.gap.sensors.lidar.compiled_sums import cells_of, count_beams
+
+        number = self.nothing.number(row)
+        found = np.zeros((len(row), 1, number.shape[1]))
+        for frame, (reference, seen) in enumerate(zip(row.tolist(), of_empty.numpy(), strict=True)):
+            if reference not in self._compiled_nothing:
+                self._compiled_nothing[reference] = cells_of(self.nothing.places(reference))
+            count_beams(found[frame, 0], seen, self._compiled_nothing[reference])
+        return number, torch.from_numpy(found)
 
     def _particles(
         self,
