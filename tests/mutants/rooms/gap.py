@@ -547,8 +547,16 @@ MUTANTS = (
         "compiled_sums_of_no_squares",
         "compiled sums of a LiDAR frame hold the squares of the range's residuals",
         "torchweather.gap.sensors.lidar.compiled_sums",
-        "row[7] += apart * apart",
-        "row[7] += apart",
+        "cells[cell, 7] += apart * apart",
+        "cells[cell, 7] += apart",
+        ("tests/gap/sensors/lidar/test_lidar_frames.py::test_compiled_sums_are_those_of_torch",),
+    ),
+    Mutant(
+        "cells_lie_in_one_bin",
+        "a beam counts in its bin of every axis",
+        "torchweather.gap.sensors.lidar.compiled_sums",
+        "for axis in range(bins.shape[0]):",
+        "for axis in range(1):",
         ("tests/gap/sensors/lidar/test_lidar_frames.py::test_compiled_sums_are_those_of_torch",),
     ),
     Mutant(
