@@ -266,6 +266,25 @@ def test_an_effect_that_was_led_to_where_it_does_nothing_goes(monkeypatch: pytes
     assert set(_without_idle(search, Candidate(NOISE, whole, 100.0), 30.0).point.values) == {NOISE}
 
 
+@pytest.mark.parametrize(("behind", "fits"), [(1.0, 1), (-1.0, 2)])
+def test_others_are_fitted_alone_only_where_they_may_come_near(behind: float, fits: int) -> None:
+    """30 is what noise gains; 40 more, and no fit brings back what a linear simulator would not."""
+    asked: list[int] = []
+
+    def fit(point: ParameterPoint, *given: Any) -> Any:
+        asked.append(given[2] if len(given) > 2 else NUMERICS.max_iterations)
+        return fit_of(point.values, 480.0)
+
+    search: Any = SimpleNamespace(
+        fit=fit, promised=lambda one: 400.0 + 30.0 + NUMERICS.rival_chi2 + behind, model=SimpleNamespace(forms={})
+    )
+    two = {WINDOW: {"loss_db": 1.0}, NOISE: {"std_m": 0.1}}
+    whole: Any = SimpleNamespace(point=ParameterPoint(two), misfit=400.0, nuisance=None, base=None)
+    kept = _without_idle(search, Candidate(NOISE, whole, 100.0), 30.0)
+    assert set(kept.point.values) == {WINDOW, NOISE}
+    assert asked == [0, NUMERICS.max_iterations][:fits]
+
+
 # ---- what no effect explains -----------------------------------------------------------------------------------------
 
 

@@ -339,15 +339,22 @@ def _fitted_on_top(
 
 def _without_idle(search: SimulatorLikelihood, added: Candidate, threshold: float) -> Fit:
     """An added effect with those of the others that are needed beside it: a first effect may only have stood for it,
-    and explains no more than noise where it is, or was led to where it does nothing."""
+    and explains no more than noise where it is, or was led to where it does nothing. Where the others could not come
+    near without it if the simulator were linear, they are not fitted."""
     fit = added.fit
     for name, values in added.fit.point.values.items():
         if name == added.id:
             continue
-        without = search.fit(fit.point.without(name), fit.nuisance, fit.base)
+        needful = added.fit.misfit + threshold
         nothing = bool(effect_class(search.model, name)(**values).at_identity)
-        if nothing or without.misfit - added.fit.misfit < threshold:
-            fit = without
+        without = fit.point.without(name)
+        if not nothing:
+            begun = search.fit(without, fit.nuisance, fit.base, 0)
+            if search.promised(begun) > needful + NUMERICS.rival_chi2:
+                continue
+        found = search.fit(without, fit.nuisance, fit.base)
+        if nothing or found.misfit < needful:
+            fit = found
     return fit
 
 
