@@ -172,7 +172,7 @@ def sum_frame(
 def _look(
     kinds: NDArray[np.int8], aparts: Array, ratios: Array, range_m: Array, intensity: Array, of: Surfaces
 ) -> None:
-    """What each stable beam sees, how far behind the reference, and ln of the intensity over its: written, each."""
+    """Kind of what each stable beam sees, how far behind its surface, and ln of the intensity over its: all written."""
     for at in range(of.beam.size):
         seen_m, level = range_m[of.beam[at]], intensity[of.beam[at]]
         apart = seen_m - of.range_m[at]
