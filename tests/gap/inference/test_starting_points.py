@@ -134,3 +134,22 @@ def test_what_cuts_is_tried_so_closely_that_nothing_is_stepped_over() -> None:
 def test_values_that_are_a_matter_of_the_data_are_tried_as_they_are() -> None:
     (grid,) = parameter_grids(EFFECTS["camera.saturation"], (), {"level": (0.71, 0.69, 0.4)})
     assert [dict(one) for one in grid.points] == [{"level": 0.71}, {"level": 0.69}, {"level": 0.4}]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_weakest_points_of_a_mirror_depart_by_as_much(name: str) -> None:
+    for grid in parameter_grids(EFFECTS[name], PLACES):
+        if grid.mirror is None:
+            continue
+        (one,), (other,) = departures(EFFECTS[name], grid).values(), departures(EFFECTS[name], grid.mirror).values()
+        assert one[0] * other[0] < 0
+        assert abs(one[0]) == pytest.approx(abs(other[0]), rel=0.1)  # a factor's by as much in logarithm
+        (varying,) = set(varied(grid)) | set(varied(grid.mirror))
+        assert {k: v for k, v in grid.points[0].items() if k != varying} == {
+            k: v for k, v in grid.mirror.points[0].items() if k != varying
+        }
+
+
+def test_both_sides_of_a_range_bias_are_mirrors_and_a_blind_zone_has_none() -> None:
+    assert [one.mirror is not None for one in parameter_grids(EFFECTS["lidar.range_bias"], PLACES)] == [False, True] * 2
+    assert {one.mirror for one in parameter_grids(EFFECTS["lidar.blind_zone"], PLACES)} == {None}

@@ -18,6 +18,7 @@ CALIBRATED = "tests/gap/inference/test_calibrated_scatter.py"
 RADAR_FRAMES = "tests/gap/sensors/radar/test_radar_frames.py"
 LIDAR_SCENE = "torchweather.gap.sensors.lidar.scene"
 LIDAR_FRAMES = "tests/gap/sensors/lidar/test_lidar_frames.py"
+GLOBAL_TEST = "tests/gap/inference/test_global_test.py"
 CANDIDATES = "tests/gap/inference/test_candidate_fits.py"
 
 MUTANTS = (
@@ -920,6 +921,22 @@ MUTANTS = (
         ("tests/gap/inference/test_likelihood.py::test_a_thing_is_found_on_the_better_side",),
     ),
     Mutant(
+        "a_side_that_does_nothing_is_a_mirror",
+        "a weak response is the other side's with its sign turned, where both sides do something",
+        "torchweather.gap.inference.global_test",
+        "if {id(grid), id(grid.mirror)} <= active and not grid.curved",
+        "if {id(grid)} <= active and grid.mirror is not None and not grid.curved",
+        (f"{GLOBAL_TEST}::test_a_side_that_does_nothing_is_no_mirror",),
+    ),
+    Mutant(
+        "mirrored_responses_keep_their_sign",
+        "a departure to the other side does the opposite",
+        "torchweather.gap.inference.global_test",
+        "response = -known[id(grid.mirror), place]",
+        "response = known[id(grid.mirror), place]",
+        (f"{GLOBAL_TEST}::test_first_responses_of_mirrored_and_idle_effects_need_no_frames",),
+    ),
+    Mutant(
         "fits_have_the_scatter_without_the_effect",
         "the first events of an effect are no miracles where it is fitted",
         "torchweather.gap.inference.candidate_fits",
@@ -1124,8 +1141,8 @@ MUTANTS = (
         "effects_that_do_nothing_named",
         "an effect that was led to its identity is none",
         "torchweather.gap.inference.forward_selection",
-        "if nothing or without.misfit",
-        "if without.misfit",
+        "if nothing or found.misfit",
+        "if found.misfit",
         (f"{SELECTION}::test_an_effect_that_was_led_to_where_it_does_nothing_goes",),
     ),
     Mutant(

@@ -24,8 +24,9 @@ from torchweather.gap.inference.location_search import standing_grids
 from torchweather.gap.inference.profiled_conditions import Fit
 from torchweather.gap.inference.residual_tests import ResidualTest, residual_test
 from torchweather.gap.inference.response_templates import ResponseTemplate, delta_chi2
+from torchweather.gap.inference.simulated_conditions import ParameterPoint
 from torchweather.gap.inference.simulated_distribution import SimulatedDistribution
-from torchweather.gap.inference.starting_points import PLACES, parameter_grids
+from torchweather.gap.inference.starting_points import PLACES, ParameterGrid, parameter_grids
 from torchweather.pipeline.effect import Effect
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "best_of_places",
     "counted_entries",
     "expected_square",
+    "first_templates",
     "located_templates",
     "run_global_test",
 ]
@@ -94,7 +96,7 @@ def run_global_test(search: SimulatorLikelihood, effects: Sequence[type[Effect]]
     found = [grid for effect in effects for grid in parameter_grids(effect, places, search.model.sizes)]
     found += standing_grids(search, effects, search.origin)
     left = nuisance.left(residual)
-    templates = search.templates([(grid, place) for grid in found for place in grid.first], search.origin, search.start)
+    templates = first_templates(search, found, search.origin, search.start)
     gain = delta_chi2(templates, left[None], nuisance)[0]
     near = {
         id(template.grid)
@@ -153,7 +155,31 @@ def located_templates(search: SimulatorLikelihood, effects: Sequence[type[Effect
         grid for effect in placed for grid in parameter_grids(effect, azimuths(search, fit.base), search.model.sizes)
     ]
     found += standing_grids(search, placed, fit.point)
-    return search.templates([(grid, place) for grid in found for place in grid.first], fit.point, fit.base)
+    return first_templates(search, found, fit.point, fit.base)
+
+
+def first_templates(
+    search: SimulatorLikelihood, grids: Sequence[ParameterGrid], point: ParameterPoint, base: SimulatedDistribution
+) -> list[ResponseTemplate]:
+    """Responses at the points that are tried first, on top of a point, of which not all need frames of their own.
+
+    An effect that does nothing at a typical strength does nothing at a weak one; and a weak departure to one side of
+    the identity does what one to the other side does, with the other sign.
+    """
+    strong = search.templates([(grid, grid.first[-1]) for grid in grids], point, base)
+    weak = [(one.grid, place) for one in strong for place in one.grid.first[:-1]]
+    active = {id(one.grid) for one in strong if one.response.any()}
+    mirrored = {id(grid) for grid, _ in weak if {id(grid), id(grid.mirror)} <= active and not grid.curved}
+    asked = [(grid, place) for grid, place in weak if id(grid) in active - mirrored]
+    known = {(id(one.grid), one.number): one.response for one in search.templates(asked, point, base)}
+    found = list(strong)
+    for grid, place in weak:
+        if id(grid) in mirrored:
+            response = -known[id(grid.mirror), place]
+        else:
+            response = known.get((id(grid), place), np.zeros_like(strong[0].response))
+        found.append(ResponseTemplate(grid, place, grid.points[place], response))
+    return found
 
 
 def azimuths(search: SimulatorLikelihood, base: SimulatedDistribution) -> list[float]:

@@ -28,10 +28,13 @@ class ParameterGrid:
     Args:
         effect: its class.
         points: parameters from weak to strong, without the identity.
+        mirror: the grid on the other side of the identity, whose weakest point departs by as much; ``None`` where none
+            does.
     """
 
     effect: type[Effect]
     points: tuple[Mapping[str, float], ...]
+    mirror: ParameterGrid | None = None
 
     @property
     def curved(self) -> bool:
@@ -105,8 +108,20 @@ def parameter_grids(
                 along = _strengths(
                     parameter, size, NUMERICS.start_steps_of_cuts if effect.cuts else NUMERICS.start_steps
                 )
-            found += [
-                ParameterGrid(effect, tuple({**dict(fixed), parameter.name: value} for value in values))
-                for values in along
-            ]
+            sides: list[ParameterGrid] = []
+            for values in along:
+                points = tuple({**dict(fixed), parameter.name: value} for value in values)
+                mirrored = sides and _mirrored(parameter, along[0][0], values[0])
+                sides.append(ParameterGrid(effect, points, sides[0] if mirrored else None))
+            found += sides
     return found
+
+
+def _mirrored(parameter: Parameter, one: float, other: float) -> bool:
+    """True where two values depart by as much to either side of the identity, in logarithm if that is a factor."""
+    identity = parameter.identity
+    if identity is None or math.isinf(identity):
+        return False
+    if identity > 0 and parameter.low >= 0:
+        return math.isclose(one * other, identity**2)
+    return math.isclose(one - identity, identity - other)
