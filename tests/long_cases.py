@@ -20,8 +20,8 @@ from pathlib import Path
 import pytest
 
 LIST = Path(__file__).with_name("long_cases.txt")
-WORTH_S = 0.3  # processor seconds from which on a case is left to `-m long`
-MOST_KEPT_S = 0.6  # of one test: cases are kept, cheapest first, up to this sum
+WORTH_S = 0.2  # processor seconds from which on a case is left to `-m long`
+MOST_KEPT_S = 0.4  # of one test: cases are kept, cheapest first, up to this sum
 
 # Rows of one table of recorded scores, of 0.05 s each: every second, third, ... row, about this sum.
 TABLES = ("tests/metrics/", "tests/reference/test_naive_image_scores.py::test_score_is_that_of_the_paper")

@@ -18,7 +18,7 @@ def test_every_test_keeps_its_cheapest_case_and_named_ones_keep_all() -> None:
         "tests/a.py::one[z]": 8.0,
         "tests/a.py::two[x]": 0.1,
         "tests/a.py::two[y]": 1.5,
-        "tests/a.py::two[z]": 0.4,
+        "tests/a.py::two[z]": 0.25,
         "tests/a.py::two[w]": 1.6,
         "tests/a.py::named[x]": 7.0,
         "tests/a.py::named[y]": 7.0,
