@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -91,7 +92,10 @@ def test_a_side_that_does_nothing_is_no_mirror() -> None:
             for grid, place in points
         ]
 
-    grids = parameter_grids(EFFECTS["lidar.threshold_shift"], ())
+    two_sides = parameter_grids(EFFECTS["lidar.threshold_shift"], ())
+    # One side that ends soon has no weak point of its own: nothing to turn the sign of.
+    short = replace(two_sides[1], points=two_sides[1].points[:2])
+    grids = [*two_sides, replace(two_sides[1], mirror=short), short]
     search: Any = SimpleNamespace(templates=templates)
     for one in first_templates(search, grids, *TOP):
         assert one.response[0] == min(one.values["shift_db"], 0.0)

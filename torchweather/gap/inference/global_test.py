@@ -169,7 +169,12 @@ def first_templates(
     strong = search.templates([(grid, grid.first[-1]) for grid in grids], point, base)
     weak = [(one.grid, place) for one in strong for place in one.grid.first[:-1]]
     active = {id(one.grid) for one in strong if one.response.any()}
-    mirrored = {id(grid) for grid, _ in weak if {id(grid), id(grid.mirror)} <= active and not grid.curved}
+    places = {(id(grid), place) for grid, place in weak}
+    mirrored = {
+        id(grid)
+        for grid, place in weak
+        if {id(grid), id(grid.mirror)} <= active and not grid.curved and (id(grid.mirror), place) in places
+    }
     asked = [(grid, place) for grid, place in weak if id(grid) in active - mirrored]
     known = {(id(one.grid), one.number): one.response for one in search.templates(asked, point, base)}
     found = list(strong)
