@@ -298,8 +298,7 @@ def _begun(
     grid = template.grid
     tried = [_start(template, amplitude)]
     if amplitude < NUMERICS.threshold_amplitude and not grid.effect.cuts:
-        weaker = grid.points[: template.number] if template.values == grid.points[template.number] else ()
-        tried += [_start(replace(template, values=values), 1.0) for values in weaker]
+        tried += [_start(replace(template, values=values), 1.0) for values in grid.points[: template.number]]
     best: Fit | None = None
     for values in tried:
         there = replace(point, values={**point.values, template.id: values})
